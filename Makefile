@@ -1,0 +1,103 @@
+# The one task runner. `make help` prints the lines that begin with #: and the texts behind ##.
+#:
+#: Variables, given behind `make`; a comma list makes every combination (make sweep ENV=cartpole ERR=0,0.1):
+#:   ENV       the task: cartpole or pendulum
+#:   ERR       chance that an advice has the wrong sign (0)
+#:   ALGO      gpc, gpc-ns, coach (all three; for a grid gpc)
+#:   SEEDS     n, for seeds 0 to n-1 (100)
+#:   EPISODES  of each run (30 for cartpole, 40 for pendulum)
+#:   ORACLE    whose actions the teacher aims at (gpc)
+#:   DELTA     the teacher is silent this near to its target (0.05)
+#:   RATE      chance of advice at a step (0.05)
+#:   LP, LH    length-scales of the policy and of the human model (those of the thesis)
+#:   OUT       run folder (runs/ENV-HASH)
+#:   JOBS      processes at once (one for each core)
+#:   SPEC      a TOML file with such settings, sweeps/*.toml for one
+#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, bench, lock
+#:   PYTHON    what .venv is made with (python3)
+#:
+
+PYTHON = python3
+OUT =
+SPEC =
+ARGS =
+READY := .venv/.ready
+PIP := .venv/bin/python -m pip --quiet --quiet --disable-pip-version-check
+GPCJAX := .venv/bin/python -m gpcjax
+
+# Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
+FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes ORACLE:oracle DELTA:delta RATE:rate \
+	LP:policy-length-scale LH:human-length-scale OUT:out JOBS:jobs
+name = $(firstword $(subst :, ,$1))
+TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
+TAKES_grid := $(TAKES_sweep)
+TAKES_report := OUT
+TAKES_oracles := ENV
+TAKES_bench := ARGS
+TAKES_test := ARGS
+TAKES_lock := ARGS
+GOALS := $(or $(MAKECMDGOALS),help)
+TAKEN := $(foreach goal,$(GOALS),$(TAKES_$(goal))) PYTHON
+GIVEN := $(foreach variable,$(.VARIABLES),$(if $(filter command,$(origin $(variable))),$(variable)))
+REFUSED := $(firstword $(filter-out $(TAKEN),$(GIVEN)))
+$(if $(REFUSED),$(error '$(REFUSED)' is no variable of make $(GOALS): give $(strip $(TAKEN))))
+
+# A value given on the command line becomes a flag: one word for the shell, whatever is in it.
+define newline
+
+
+endef
+quoted = '$(subst $(newline), ,$(subst ','\'',$(value $1)))'
+flag = $(if $(filter command,$(origin $(call name,$1))),--$(lastword $(subst :, ,$1))=$(call quoted,$(call name,$1)))
+SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair))) $(value ARGS)
+
+.PHONY: help sweep grid report oracles bench test lint format lock clean
+help: ## this list (default)
+	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
+	@sed -n -e 's/^#: \{0,1\}//p' Makefile
+
+sweep: $(READY) ## teach every combination, print a table, draw the curves
+	$(GPCJAX) sweep $(SETTINGS)
+
+grid: $(READY) ## the same over lists of hyperparameters, with a heatmap
+	$(GPCJAX) grid $(SETTINGS)
+
+report: $(READY) ## draw a run folder's table and figures again (OUT=)
+	$(GPCJAX) report $(if $(OUT),-- $(call quoted,OUT))
+
+oracles: $(READY) ## learn the shipped gpc oracles again (ENV=, or each)
+	$(GPCJAX) oracles $(call flag,ENV:env)
+
+bench: $(READY) ## measure the throughput
+	.venv/bin/python benchmarks/throughput.py $(value ARGS)
+
+test: $(READY) ## run every test
+	.venv/bin/python -m pytest -n 2 $(value ARGS)
+
+lint: $(READY) ## check style, types and the direction of imports
+	.venv/bin/ruff check . && .venv/bin/ruff format --check .
+	.venv/bin/basedpyright && .venv/bin/lint-imports
+
+format: $(READY) ## write the code in its one style
+	.venv/bin/ruff check --fix . && .venv/bin/ruff format .
+
+lock: $(READY) ## write requirements.lock anew (ARGS=--upgrade for newer versions)
+	.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes --only-binary :all: --quiet \
+		--custom-compile-command 'make lock' --group dev pyproject.toml -o requirements.lock $(value ARGS)
+
+clean: ## remove .venv and all caches, no results
+	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+# Set up once: again only if the lock or pyproject.toml is newer, or .venv has lost its Python. What is wrong with a
+# sweep is said before that takes its minutes.
+.PHONY: $(if $(shell test -x .venv/bin/python && echo yes),,$(READY))
+sweep: CHECK = $(PYTHON) -m gpcjax sweep $(SETTINGS) --dry-run
+grid: CHECK = $(PYTHON) -m gpcjax grid $(SETTINGS) --dry-run
+NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo '$(NEEDED)' >&2; exit 2; }
+	@$(CHECK)
+	@echo 'setting up .venv, once: this takes a minute or more'
+	@$(PYTHON) -m venv .venv && $(PIP) install --require-hashes --only-binary :all: -r requirements.lock
+	@$(PIP) install --no-deps --no-index --no-build-isolation -e . && touch $@

@@ -1,0 +1,62 @@
+"""Teach continuous controllers by corrective advice: GPC, GPC-NS and COACH, batched on JAX.
+
+`import gpcjax` itself loads no jax: a public name loads what it needs when it is first used, and the first one
+switches jax to float64.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "draw_report": "gpcjax.report.run:draw",
+    "evaluate": "gpcjax.engine.evaluate:evaluate",
+    "load": "gpcjax.sweep.store:load",
+    "load_policy": "gpcjax.learners.saved:load_policy",
+    "make_env": "gpcjax.envs.registry:make_env",
+    "make_expert": "gpcjax.envs.registry:make_expert",
+    "make_learner": "gpcjax.learners.factory:make_learner",
+    "make_oracle": "gpcjax.teachers.factory:make_oracle",
+    "run_sweep": "gpcjax.sweep.run:sweep",
+    "save_policy": "gpcjax.learners.saved:save_policy",
+}
+"""Public name -> where it lives. None is the name of a subpackage: importing one would hide it."""
+
+__all__ = [  # noqa: RUF022  (the order of the interface)
+    "make_learner",
+    "make_env",
+    "make_expert",
+    "make_oracle",
+    "evaluate",
+    "save_policy",
+    "load_policy",
+    "run_sweep",
+    "draw_report",
+    "load",
+]
+
+if TYPE_CHECKING:
+    from gpcjax.engine.evaluate import evaluate
+    from gpcjax.envs.registry import make_env, make_expert
+    from gpcjax.learners.factory import make_learner
+    from gpcjax.learners.saved import load_policy, save_policy
+    from gpcjax.report.run import draw as draw_report
+    from gpcjax.sweep.run import sweep as run_sweep
+    from gpcjax.sweep.store import load
+    from gpcjax.teachers.factory import make_oracle
+
+
+def __getattr__(name: str) -> Any:
+    """Resolve a public name at its first use (PEP 562)."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'gpcjax' has no attribute {name!r}")
+    import_module("gpcjax._x64")
+    module, _, attribute = _PUBLIC[name].partition(":")
+    value = getattr(import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, "__version__", "__doc__", "__name__", "__path__"})

@@ -1,0 +1,1 @@
+"""The batched loop that teaches many lanes at once."""

@@ -1,0 +1,185 @@
+"""The state of one lane: a learner, its teacher and its task, and the rows that they produce.
+
+A block holds many lanes in the same structure. Which axis the lanes take is a matter of speed, fixed here for each
+field: FIRST for what a correction touches as a whole (the learner's matrices), so that a lane is contiguous; LAST for what
+every step touches (observations, the controller), so that arithmetic runs over lanes.
+"""
+
+import enum
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
+
+from gpcjax.engine import streams
+from gpcjax.envs.base import Env
+from gpcjax.envs.base import State as EnvState
+from gpcjax.learners.base import Controller, Learner
+from gpcjax.teachers.base import Teacher
+
+LOGGED_CORRECTIONS = 200
+"""Corrections of a run that are recorded one by one, for the learning-rate figures."""
+
+
+class Phase(enum.IntEnum):
+    """What a lane may do next."""
+
+    RUNNING = 0
+    NEEDS_ROOM = 1
+    """A correction waits for a larger dictionary."""
+    FINISHED = 2
+    """All episodes are done, or the learner stopped with a status."""
+    EMPTY = 3
+    """No cell."""
+
+
+class EpisodeRows(eqx.Module):
+    """What was measured in each episode, [episodes]."""
+
+    returns: Float[Array, "episodes *lanes"]
+    length: Int[Array, "episodes *lanes"]
+    corrections: Int[Array, "episodes *lanes"]
+    rate_sum: Float[Array, "episodes *lanes"]
+    policy_points: Int[Array, "episodes *lanes"]
+    human_points: Int[Array, "episodes *lanes"]
+    clipped: Int[Array, "episodes *lanes"]
+    """Steps whose action was outside [-1, 1]."""
+    full: Int[Array, "episodes *lanes"]
+    """Corrections that met a full dictionary."""
+
+
+class Tally(eqx.Module):
+    """The running sums of the current episode."""
+
+    returns: Float[Array, "*lanes"]
+    corrections: Int[Array, "*lanes"]
+    rate_sum: Float[Array, "*lanes"]
+    clipped: Int[Array, "*lanes"]
+    full: Int[Array, "*lanes"]
+
+
+class CorrectionLog(eqx.Module):
+    """The first `LOGGED_CORRECTIONS` corrections, one entry for each corrected action dimension."""
+
+    count: Int[Array, "*lanes"]
+    where: Int[Array, "*lanes log 3"]
+    """Episode (from 0), step (from 0), action dimension."""
+    values: Float[Array, "*lanes log 3"]
+    """Rate, sigma_policy, sigma_human."""
+    outcome: Bool[Array, "*lanes log 3"]
+    """Appended, replaced, full."""
+
+
+class Lane(eqx.Module):
+    """One lane, or a block of them; `AXES` tells where the lanes are."""
+
+    learner: Learner
+    state: PyTree
+    controller: Controller
+    teacher: Teacher
+    env: EnvState
+    seed: Int[Array, "*lanes"]
+    episode: Int[Array, "*lanes"]
+    """Index of the current episode, from 0."""
+    phase: Int[Array, "*lanes"]
+    status: Int[Array, "*lanes"]
+    window_start: Int[Array, "*lanes"]
+    """First step that `window` tells of."""
+    window: UInt32[Array, "*lanes"]
+    """Bit i: the coins of step `window_start + i` may bring advice."""
+    waiting: Bool[Array, "*lanes"]
+    """The lane has reached such a step and rests until the block turns to advice."""
+    action: Float[Array, "action *lanes"]
+    """The action chosen where the lane waits."""
+    tally: Tally
+    rows: EpisodeRows
+    log: CorrectionLog
+
+
+FIRST = ("learner", "state", "log")
+
+
+def map_lanes(function: Callable[..., Array], block: Lane, *others: Lane) -> Lane:
+    """`function(leaf, *other leaves, axis)` for each leaf, with the axis that the lanes take in a block."""
+
+    def apply(path: Any, leaf: Array, *rest: Array) -> Array:
+        return function(leaf, *rest, 0 if path[0].name in FIRST else -1)
+
+    return jax.tree_util.tree_map_with_path(apply, block, *others)
+
+
+WINDOW = 32
+"""Steps whose coins are drawn at once: the bits of `Lane.window`."""
+
+
+def coin_window(
+    teacher: Teacher,
+    learner: Learner,
+    seed: Int[Array, ""],
+    episode: Int[Array, ""],
+    start: Int[Array, ""],
+) -> UInt32[Array, ""]:
+    """Which of the steps from `start` may bring advice, as bits."""
+
+    def possible(step: Int[Array, ""]) -> Bool[Array, ""]:
+        coins = teacher.coins(streams.coin_key(seed, episode, step), learner.action_size)
+        return teacher.may_advise(coins, learner.largest_sigma()).any()
+
+    offsets = jnp.arange(WINDOW, dtype=jnp.uint32)
+    bits = jax.vmap(possible)(start + offsets.astype(start.dtype))
+    return jnp.where(bits, jnp.uint32(1) << offsets, jnp.uint32(0)).sum(dtype=jnp.uint32)
+
+
+def fresh(
+    env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int
+) -> Lane:
+    """A lane at the start of its first episode, its learner idle."""
+    zero = jnp.zeros((), jnp.int32)
+    state = learner.init()
+    rows = jnp.zeros(episodes, jnp.int32)
+    return Lane(
+        learner=learner,
+        state=state,
+        controller=learner.controller(state),
+        teacher=teacher,
+        env=env.reset(streams.start_key(seed, zero)),
+        seed=seed,
+        episode=zero,
+        phase=jnp.asarray(Phase.RUNNING, jnp.int32),
+        status=zero,
+        window_start=zero,
+        window=coin_window(teacher, learner, seed, zero, zero),
+        waiting=jnp.zeros((), bool),
+        action=jnp.zeros(learner.action_size),
+        tally=empty_tally(),
+        rows=EpisodeRows(
+            returns=jnp.zeros(episodes),
+            length=rows,
+            corrections=rows,
+            rate_sum=jnp.zeros(episodes),
+            policy_points=rows,
+            human_points=rows,
+            clipped=rows,
+            full=rows,
+        ),
+        log=CorrectionLog(
+            count=zero,
+            where=jnp.zeros((LOGGED_CORRECTIONS, 3), jnp.int32),
+            values=jnp.zeros((LOGGED_CORRECTIONS, 3)),
+            outcome=jnp.zeros((LOGGED_CORRECTIONS, 3), bool),
+        ),
+    )
+
+
+def empty_tally() -> Tally:
+    """Nothing has happened in this episode."""
+    return Tally(
+        returns=jnp.zeros(()),
+        corrections=jnp.zeros((), jnp.int32),
+        rate_sum=jnp.zeros(()),
+        clipped=jnp.zeros((), jnp.int32),
+        full=jnp.zeros((), jnp.int32),
+    )

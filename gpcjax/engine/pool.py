@@ -1,0 +1,262 @@
+"""Runs any number of lanes through blocks of fixed width, from the host.
+
+A block is a compiled program for a number of lanes and a capacity. Between chunks of some tens of milliseconds the host takes out
+lanes that have finished, gives their places to the next ones, and moves lanes whose dictionary is full into the block of the
+next capacity. Widths and capacities are fixed, a lane's tier follows from its own counts, and empty places
+are masked: so the bits of a lane do not depend on what else is run, nor on when the host looks.
+"""
+
+import dataclasses
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gpcjax.engine.lanes import Lane, Phase, fresh, map_lanes
+from gpcjax.engine.rollout import Expert, Loop
+from gpcjax.envs.base import Env
+from gpcjax.learners.base import Learner
+from gpcjax.teachers.base import Teacher
+
+CHUNK_SECONDS = 0.05
+"""About how long the compiled program runs between two looks of the host."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tier:
+    """One block: room for these points in each dictionary, and its width."""
+
+    policy_capacity: int
+    human_capacity: int
+    lanes: int
+
+
+TIERS = (
+    Tier(32, 32, 64),
+    Tier(64, 64, 64),
+    Tier(128, 128, 32),
+    Tier(256, 256, 16),
+    Tier(512, 512, 8),
+    Tier(1024, 1024, 4),
+)
+"""Where the widths come from: benchmarks/README.md."""
+
+
+def tiers(max_capacity: int) -> tuple[Tier, ...]:
+    """The tiers up to `max_capacity` points, the last one exactly there."""
+    smaller = [tier for tier in TIERS if max(tier.policy_capacity, tier.human_capacity) < max_capacity]
+    larger = [tier for tier in TIERS if tier.policy_capacity >= max_capacity]
+    lanes = larger[0].lanes if larger else max(1, TIERS[-1].lanes * TIERS[-1].policy_capacity // max_capacity)
+    return (*smaller, Tier(max_capacity, max_capacity, lanes))
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """A run to begin. Numbers of `learner` and `teacher` may differ between the starts of one pool, their structure
+    may not."""
+
+    name: Any
+    """The caller's own, handed back with the result."""
+    learner: Learner
+    teacher: Teacher
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Finished:
+    """A run that ended: its lane on the host, without a lanes axis (numpy)."""
+
+    name: Any
+    lane: Lane
+
+
+@dataclasses.dataclass
+class Counters:
+    """What a pool has done so far."""
+
+    env_steps: int = 0
+    """In finished lanes."""
+    running_steps: int = 0
+    """In lanes that still run, at the last look."""
+    compile_seconds: float = 0.0
+    compilations: int = 0
+    chunks: int = 0
+    promotions: int = 0
+
+
+class Pool:
+    """Blocks of all tiers for starts of one structure (env, learner, sizes, episodes).
+
+    Args:
+        env, expert: shared by all lanes.
+        episodes: of every lane.
+        template: a start whose structure all others share.
+        tiers: capacities and widths, growing; the last one leaves a full dictionary to the learner's `on_full`.
+    """
+
+    def __init__(self, env: Env, expert: Expert, episodes: int, template: Start, tiers: Sequence[Tier]):
+        self.counters = Counters()
+        self._env, self._episodes = env, episodes
+        self._learner_shape = template.learner
+        self._blocks = [_Block(self, tier, expert, template, last=tier is tiers[-1]) for tier in tiers]
+
+    def run(self, next_start: Callable[[], Start | None], deliver: Callable[[Finished], None]) -> None:
+        """Runs starts until `next_start` has no more and all have been delivered."""
+        blocks, exhausted = self._blocks, False
+        while True:
+            index = self._choose(exhausted)
+            if index is None:
+                return
+            block = blocks[index]
+            while block.free:
+                if block.waiting:
+                    block.promote(block.waiting.popleft())
+                elif index == 0 and not exhausted:
+                    start = next_start()
+                    if start is None:
+                        exhausted = True
+                    else:
+                        block.begin(start)
+                else:
+                    break
+            if not block.names:
+                continue
+            for name, lane in block.chunk():
+                if lane.phase == Phase.NEEDS_ROOM:
+                    self.counters.promotions += 1
+                    blocks[index + 1].waiting.append((name, lane))
+                else:
+                    self.counters.env_steps += int(lane.rows.length.sum())
+                    deliver(Finished(name, lane))
+            self.counters.running_steps = sum(block.steps for block in blocks)
+
+    def _choose(self, exhausted: bool) -> int | None:
+        """The largest tier that can be filled; else the smallest with any work, so that larger ones fill up."""
+        blocks = self._blocks
+        for index in reversed(range(1, len(blocks))):
+            if blocks[index].work >= blocks[index].tier.lanes:
+                return index
+        if not exhausted:
+            return 0
+        return next((index for index, block in enumerate(blocks) if block.work), None)
+
+
+class _Block:
+    """The lanes of one tier, and the programs that move them."""
+
+    def __init__(self, pool: Pool, tier: Tier, expert: Expert, template: Start, last: bool):
+        self.tier = tier
+        self.names: dict[int, Any] = {}
+        """Name of the run in each occupied place."""
+        self.waiting: deque[tuple[Any, Lane]] = deque()
+        """Lanes of the smaller tier that need this one."""
+        self.steps = 0
+        self._pool, self._template = pool, template
+        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last)
+        self._lanes: Lane | None = None
+        self._programs: dict[str, Callable[..., Lane]] = {}
+        self._rounds = 16
+
+    @property
+    def free(self) -> bool:
+        return len(self.names) < self.tier.lanes
+
+    @property
+    def work(self) -> int:
+        return len(self.names) + len(self.waiting)
+
+    def begin(self, start: Start) -> None:
+        """Puts a new lane into a free place."""
+        arguments = (start.learner, start.teacher, np.int64(start.seed))
+
+        def begin(block: Lane, place: Any, learner: Learner, teacher: Teacher, seed: Any) -> Lane:
+            return _insert(block, place, self._sized(fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)))
+
+        self._place("begin", begin, start.name, *arguments)
+
+    def promote(self, waiting: tuple[Any, Lane]) -> None:
+        """Puts a lane that outgrew the smaller tier into a free place; its correction is still to come."""
+        name, lane = waiting
+
+        def promote(block: Lane, place: Any, lane: Lane) -> Lane:
+            lane = dataclasses.replace(lane, phase=jnp.asarray(Phase.RUNNING, lane.phase.dtype))
+            return _insert(block, place, self._sized(lane))
+
+        self._place("promote", promote, name, lane)
+
+    def chunk(self) -> list[tuple[Any, Lane]]:
+        """Advances all lanes for a while; gives those that leave, with their names."""
+        assert self._lanes is not None
+        began = time.perf_counter()
+        compiling = self._pool.counters.compile_seconds
+        self._lanes = self._call("advance", lambda block, rounds: self._loop.advance(block, rounds), np.int32(self._rounds))
+        phases = np.array(self._lanes.phase)
+        elapsed = time.perf_counter() - began - (self._pool.counters.compile_seconds - compiling)
+        self._rounds = int(np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds))
+        self._rounds = max(self._rounds, 4)
+        self._pool.counters.chunks += 1
+        leaving = [place for place in self.names if phases[place] != Phase.RUNNING]
+        result = [(self.names.pop(place), self._take(place)) for place in leaving]
+        if leaving:
+            phases[leaving] = Phase.EMPTY
+            self._lanes = dataclasses.replace(self._lanes, phase=jnp.asarray(phases))
+        occupied = list(self.names)
+        steps = np.asarray(self._lanes.rows.length).sum(0) + np.asarray(self._lanes.env.time)
+        self.steps = int(steps[occupied].sum())
+        return result
+
+    def _sized(self, lane: Lane) -> Lane:
+        """The lane with this tier's room."""
+        state = lane.learner.resize(lane.state, self.tier.policy_capacity, self.tier.human_capacity)
+        return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
+
+    def _place(self, program: str, function: Callable[..., Lane], name: Any, *arguments: Any) -> None:
+        if self._lanes is None:
+            self._lanes = self._empty()
+        place = next(place for place in range(self.tier.lanes) if place not in self.names)
+        self._lanes = self._call(program, function, np.int32(place), *arguments)
+        self.names[place] = name
+
+    def _call(self, program: str, function: Callable[..., Lane], *arguments: Any) -> Lane:
+        """Runs a program on the block, which it consumes; compiles it the first time."""
+        if program not in self._programs:
+            began = time.perf_counter()
+            lowered = jax.jit(function, donate_argnums=0).lower(self._lanes, *arguments)
+            self._programs[program] = lowered.compile()
+            self._pool.counters.compile_seconds += time.perf_counter() - began
+            self._pool.counters.compilations += 1
+        return self._programs[program](self._lanes, *arguments)
+
+    def _empty(self) -> Lane:
+        """A block without runs: every place holds a copy of one idle lane."""
+        start = self._template
+        shapes = jax.eval_shape(
+            lambda learner, teacher, seed: self._sized(
+                fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)
+            ),
+            start.learner,
+            start.teacher,
+            np.int64(start.seed),
+        )
+
+        def zeros(leaf: jax.ShapeDtypeStruct, axis: int) -> jax.Array:
+            shape = (self.tier.lanes, *leaf.shape) if axis == 0 else (*leaf.shape, self.tier.lanes)
+            return jnp.zeros(shape, leaf.dtype)
+
+        block = map_lanes(zeros, shapes)
+        return dataclasses.replace(block, phase=jnp.full(self.tier.lanes, Phase.EMPTY, jnp.int32))
+
+    def _take(self, place: int) -> Lane:
+        """A copy of one lane, on the host."""
+        return map_lanes(lambda leaf, axis: np.take(np.asarray(leaf), place, axis=axis), self._lanes)
+
+
+def _insert(block: Lane, place: Any, lane: Lane) -> Lane:
+    def put(leaf: jax.Array, value: jax.Array, axis: int) -> jax.Array:
+        return jax.lax.dynamic_update_index_in_dim(leaf, value, place, axis if axis == 0 else leaf.ndim - 1)
+
+    return map_lanes(put, block, lane)

@@ -1,0 +1,308 @@
+"""The batched loop: many lanes of one block, each on its own episode and step, in one compiled program.
+
+Most steps of a lane need nothing but its controller and its task. So a round lets all lanes step until they meet a coin
+that may bring advice (or the end of an episode, or of a few steps), then turns to those that wait: it asks the teacher,
+gathers the few lanes that were really corrected, a small group at a time, updates their learners, and puts them
+back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
+
+A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be
+moved into a block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own
+`on_full` decides.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
+
+from gpcjax.engine import streams
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, Lane, Phase, Tally, coin_window
+from gpcjax.envs.base import Env
+from gpcjax.learners.base import Info, Status
+
+Expert = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
+
+
+class Loop(eqx.Module):
+    """What all lanes of a block share.
+
+    Fields:
+        env: the task.
+        expert: what the teacher would do, obs (obs_size,) -> action (action_size,).
+        episodes: of every lane. Static.
+        grows: lanes without room leave the block. Static.
+        stride: steps between two looks at the waiting lanes, less than `WINDOW`. Static.
+        group: lanes that are corrected at once. Static.
+    """
+
+    env: Env
+    expert: Expert
+    episodes: int = eqx.field(static=True)
+    grows: bool = eqx.field(static=True, default=True)
+    stride: int = eqx.field(static=True, default=8)
+    group: int = eqx.field(static=True, default=8)
+
+    def advance(self, block: Lane, rounds: Int[Array, ""]) -> Lane:
+        """Up to `rounds` rounds, fewer if no lane is running any more."""
+
+        def more(carry: tuple[Int[Array, ""], Lane]) -> Bool[Array, ""]:
+            done, block = carry
+            return (done < rounds) & (block.phase == Phase.RUNNING).any()
+
+        def body(carry: tuple[Int[Array, ""], Lane]) -> tuple[Int[Array, ""], Lane]:
+            done, block = carry
+            return done + 1, self.round(block)
+
+        return lax.while_loop(more, body, (jnp.zeros((), jnp.int32), block))[1]
+
+    def round(self, block: Lane) -> Lane:
+        """Steps, advice, corrections, and new episodes, for every lane that is due."""
+        block = self._draw_coins(block)
+        block = self._step(block)
+        block, advice = self._ask(block)
+        block = self._correct(block, advice)
+        block = self._execute(block)
+        return self._begin_episodes(block)
+
+    def _draw_coins(self, block: Lane) -> Lane:
+        """Moves every window to its lane's present step, if any lane may otherwise run past its own."""
+        due = (block.env.time + self.stride + 1 > block.window_start + WINDOW) & (block.phase == Phase.RUNNING)
+        window, start = lax.cond(
+            due.any(),
+            lambda: self._windows(block, block.episode, block.env.time),
+            lambda: (block.window, block.window_start),
+        )
+        return dataclasses.replace(block, window=window, window_start=start)
+
+    def _windows(
+        self, block: Lane, episode: Int[Array, " lanes"], start: Int[Array, " lanes"]
+    ) -> tuple[UInt32[Array, " lanes"], Int[Array, " lanes"]]:
+        window = jax.vmap(coin_window, in_axes=(-1, 0, -1, -1, -1))(
+            block.teacher, block.learner, block.seed, episode, start
+        )
+        return window, start
+
+    def _step(self, block: Lane) -> Lane:
+        """A few steps of every running lane, up to its next coin or the end of its episode."""
+        window, start, running = block.window, block.window_start, block.phase == Phase.RUNNING
+        controller = block.controller
+
+        def body(_: Int[Array, ""], carry: PyTree) -> PyTree:
+            env, tally, waiting, action = carry
+            moving = running & ~waiting & ~env.done
+            proposed = controller(env.obs)
+            offset = (env.time - start).astype(jnp.uint32)
+            meets = moving & (((window >> offset) & 1) == 1)
+            action = jnp.where(meets[None], jnp.clip(proposed, -1.0, 1.0), action)
+            tally = self._count_clipped(tally, proposed, moving)
+            env, tally = self._act(env, tally, proposed, moving & ~meets)
+            return env, tally, waiting | meets, action
+
+        carry = (block.env, block.tally, block.waiting, block.action)
+        env, tally, waiting, action = lax.fori_loop(0, self.stride, body, carry)
+        return dataclasses.replace(block, env=env, tally=tally, waiting=waiting, action=action)
+
+    def _count_clipped(self, tally: Tally, proposed: Float[Array, "action lanes"], moving: Bool[Array, " lanes"]):
+        beyond = (jnp.abs(proposed) > 1.0).any(0) & moving
+        return dataclasses.replace(tally, clipped=tally.clipped + beyond)
+
+    def _act(
+        self,
+        env: PyTree,
+        tally: Tally,
+        action: Float[Array, "action lanes"],
+        where: Bool[Array, " lanes"],
+    ) -> tuple[PyTree, Tally]:
+        """One step of the task, for the lanes `where`."""
+        after = jax.vmap(self.env.step, in_axes=-1, out_axes=-1)(env, action)
+        env = jax.tree.map(lambda new, old: jnp.where(where, new, old), after, env)
+        return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(where, after.reward, 0.0))
+
+    def _ask(self, block: Lane) -> tuple[Lane, Float[Array, "action lanes"]]:
+        """The teacher's advice to the lanes that wait, zero for the others."""
+        coins = jax.vmap(
+            lambda seed, episode, step: block.teacher.coins(
+                streams.coin_key(seed, episode, step), block.action.shape[0]
+            ),
+            out_axes=-1,
+        )(block.seed, block.episode, block.env.time)
+        target = jax.vmap(self.expert, in_axes=-1, out_axes=-1)(block.env.obs)
+        sigma = self._uncertainty(block)
+        advice = block.teacher.advise(coins, block.action, target, sigma)
+        advice = jnp.where(block.waiting[None], advice, 0.0)
+        if self.grows:
+            room = jax.vmap(lambda learner, state: learner.has_room(state))(block.learner, block.state)
+            stuck = (advice != 0).any(0) & ~room
+            block = dataclasses.replace(block, phase=jnp.where(stuck, jnp.int32(Phase.NEEDS_ROOM), block.phase))
+            advice = jnp.where(stuck[None], 0.0, advice)
+        return block, advice
+
+    def _uncertainty(self, block: Lane) -> Float[Array, "action lanes"]:
+        """sigma_h where a teacher needs it: at the lanes that wait, if the learning is active."""
+        sigma = jnp.zeros_like(block.action)
+        if not block.teacher.active:
+            return sigma
+
+        def body(chosen: Int[Array, " group"], sigma: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
+            values = jax.vmap(
+                lambda learner, state, obs, action: learner._uncertainty(state, obs, action), in_axes=(0, 0, -1, -1)
+            )(
+                _take(block.learner, chosen, 0),
+                _take(block.state, chosen, 0),
+                _take(block.env.obs, chosen, -1),
+                _take(block.action, chosen, -1),
+            )
+            return sigma.at[:, chosen].set(values.T, mode="drop")
+
+        return self._each_group(block.waiting, body, sigma)
+
+    def _correct(self, block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
+        """Alg. 2's lines 6 to 14 (Alg. 1's 6 to 13) for the lanes that were given advice."""
+        inputs = (block.env.obs, block.action, advice)
+        learner = block.learner
+        carry = (block.state, block.controller, block.tally, block.log, block.status)
+
+        def body(chosen: Int[Array, " group"], carry: PyTree) -> PyTree:
+            states, controllers, tally, log, status = carry
+            obs, action, h = (_take(array, chosen, -1) for array in inputs)
+            learners = _take(learner, chosen, 0)
+            state, info = jax.vmap(
+                lambda learner, state, obs, action, h: learner._correct(state, obs, action, h),
+                in_axes=(0, 0, -1, -1, -1),
+            )(learners, _take(states, chosen, 0), obs, action, h)
+            controller = jax.vmap(lambda learner, state: learner.controller(state), out_axes=-1)(learners, state)
+            given = (h != 0).T
+            episode, step = block.episode[chosen], block.env.time[chosen]
+            return (
+                _put(states, chosen, state, 0),
+                _put(controllers, chosen, controller, -1),
+                _count_corrections(tally, chosen, info, given),
+                _log(log, chosen, info, given, episode, step),
+                status.at[chosen].set(info.status, mode="drop"),
+            )
+
+        pending = (advice != 0).any(0)
+        state, controller, tally, log, status = self._each_group(pending, body, carry)
+        stopped = (status != Status.OK) & (block.phase == Phase.RUNNING)
+        return dataclasses.replace(
+            block,
+            state=state,
+            controller=controller,
+            tally=tally,
+            log=log,
+            status=status,
+            phase=jnp.where(stopped, jnp.int32(Phase.FINISHED), block.phase),
+        )
+
+    def _each_group(
+        self, pending: Bool[Array, " lanes"], body: Callable[[Int[Array, " group"], PyTree], PyTree], carry: PyTree
+    ) -> PyTree:
+        """`body(lanes, carry)` for all pending lanes, `group` at a time; missing ones have an index out of bounds."""
+        lanes = pending.shape[0]
+
+        def one(loop: tuple[Bool[Array, " lanes"], PyTree]) -> tuple[Bool[Array, " lanes"], PyTree]:
+            pending, carry = loop
+            (chosen,) = jnp.nonzero(pending, size=self.group, fill_value=lanes)
+            return pending.at[chosen].set(False, mode="drop"), body(chosen, carry)
+
+        return lax.while_loop(lambda loop: loop[0].any(), one, (pending, carry))[1]
+
+    def _execute(self, block: Lane) -> Lane:
+        """The step that the waiting lanes have chosen before they were corrected."""
+        going = block.waiting & (block.phase != Phase.NEEDS_ROOM)
+        env, tally = self._act(block.env, block.tally, block.action, going)
+        return dataclasses.replace(block, env=env, tally=tally, waiting=block.waiting & ~going)
+
+    def _begin_episodes(self, block: Lane) -> Lane:
+        """Writes the rows of the episodes that ended, and starts the next ones; a learner that stopped ends its run."""
+        over = block.env.done & (block.phase == Phase.RUNNING)
+        stopped = (block.phase == Phase.FINISHED) & (block.episode < self.episodes)
+        # The condition guards small arrays only: a matrix that passes through it might be copied.
+        names = ("env", "tally", "rows", "episode", "phase", "status", "window", "window_start")
+        values = lax.cond(
+            (over | stopped).any(),
+            lambda: self._end_episodes(block, over, stopped),
+            lambda: tuple(getattr(block, name) for name in names),
+        )
+        return dataclasses.replace(block, **dict(zip(names, values, strict=True)))
+
+    def _end_episodes(self, block: Lane, over: Bool[Array, " lanes"], stopped: Bool[Array, " lanes"]) -> tuple:
+        ended = over | stopped
+        points = jax.vmap(lambda learner, state: learner.points(state))(block.learner, block.state)
+        values = {
+            **vars(block.tally),
+            "length": block.env.time,
+            "policy_points": points[0],
+            "human_points": points[1],
+        }
+        here = (jnp.arange(self.episodes)[:, None] == block.episode[None]) & ended[None]
+        written = {
+            name: jnp.where(here, value[None].astype(getattr(block.rows, name).dtype), getattr(block.rows, name))
+            for name, value in values.items()
+        }
+        tally = jax.tree.map(lambda value: jnp.where(ended, jnp.zeros_like(value), value), block.tally)
+
+        finite = jnp.isfinite(block.tally.returns) & jnp.isfinite(block.env.obs).all(0)
+        broken = over & ~finite
+        status = jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status)
+        episode = jnp.where(stopped | broken, self.episodes, block.episode + over)
+        finished = ended & (episode >= self.episodes)
+        begins = over & ~finished
+        start = jax.vmap(lambda seed, episode: self.env.reset(streams.start_key(seed, episode)), out_axes=-1)(
+            block.seed, episode
+        )
+        env = jax.tree.map(lambda new, old: jnp.where(begins, new, old), start, block.env)
+        phase = jnp.where(finished, jnp.int32(Phase.FINISHED), block.phase)
+        window, start = self._windows(block, episode, env.time)
+        return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window, start
+
+
+def _take(tree: PyTree, chosen: Int[Array, " group"], axis: int) -> PyTree:
+    return jax.tree.map(lambda leaf: jnp.take(leaf, chosen, axis=axis, mode="clip"), tree)
+
+
+def _put(tree: PyTree, chosen: Int[Array, " group"], values: PyTree, axis: int) -> PyTree:
+    def put(leaf: Array, value: Array) -> Array:
+        index = (chosen,) if axis == 0 else (..., chosen)
+        return leaf.at[index].set(value, mode="drop")
+
+    return jax.tree.map(put, tree, values)
+
+
+def _count_corrections(
+    tally: Tally, chosen: Int[Array, " group"], info: Info, given: Bool[Array, "group action"]
+) -> Tally:
+    learned = given & ~(info.full & (info.status == Status.FULL)[:, None])
+    added = {
+        "corrections": learned.sum(1),
+        "rate_sum": jnp.where(learned, info.rate, 0.0).sum(1),
+        "full": info.full.sum(1),
+    }
+    return dataclasses.replace(
+        tally,
+        **{
+            name: getattr(tally, name).at[chosen].add(value.astype(getattr(tally, name).dtype), mode="drop")
+            for name, value in added.items()
+        },
+    )
+
+
+def _log(log, chosen, info: Info, given: Bool[Array, "group action"], episode, step):
+    for dimension in range(given.shape[1]):
+        there = given[:, dimension]
+        position = jnp.where(there, jnp.take(log.count, chosen, mode="clip"), LOGGED_CORRECTIONS)
+        where = jnp.stack([episode, step, jnp.full_like(step, dimension)], 1)
+        values = jnp.stack([info.rate, info.sigma_policy, info.sigma_human], -1)[:, dimension]
+        outcome = jnp.stack([info.appended, info.replaced, info.full], -1)[:, dimension]
+        log = dataclasses.replace(
+            log,
+            count=log.count.at[chosen].add((there & (position < LOGGED_CORRECTIONS)).astype(jnp.int32), mode="drop"),
+            where=log.where.at[chosen, position].set(where, mode="drop"),
+            values=log.values.at[chosen, position].set(values, mode="drop"),
+            outcome=log.outcome.at[chosen, position].set(outcome, mode="drop"),
+        )
+    return log

@@ -1,0 +1,1 @@
+"""Tasks to teach and the experts that master them."""

@@ -1,0 +1,1 @@
+"""Gaussian processes over fixed-capacity dictionaries: arrays only."""

@@ -1,0 +1,73 @@
+"""Stationary kernels: the squared exponential (3.3) and the Matern family (3.4) of the thesis, in closed form.
+
+Notation: c is the signal variance, l the length-scale, nu the smoothness, r the Euclidean distance of two inputs
+that the caller has already scaled per dimension.
+"""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+import gpcjax._x64  # noqa: F401
+
+SQUARED_EXPONENTIAL = math.inf
+SMOOTHNESSES = (0.5, 1.5, 2.5, SQUARED_EXPONENTIAL)
+
+
+def correlation(squared: Float[Array, "*shape"], smoothness: float) -> Float[Array, "*shape"]:
+    """Correlation at a squared distance that is already divided by `stretch(smoothness) ** 2 * l ** 2`.
+
+    One branch per smoothness, chosen at trace time:
+    0.5: exp(-d); 1.5: (1 + d) exp(-d); 2.5: (1 + d + d^2/3) exp(-d); infinity: exp(-d^2/2).
+    """
+    if smoothness == SQUARED_EXPONENTIAL:
+        return jnp.exp(-0.5 * squared)
+    distance = jnp.sqrt(squared)
+    decay = jnp.exp(-distance)
+    if smoothness == 0.5:
+        return decay
+    if smoothness == 1.5:
+        return (1.0 + distance) * decay
+    return (1.0 + distance + squared / 3.0) * decay
+
+
+class Kernel(eqx.Module):
+    """`variance * correlation(r / length_scale)`, the thesis' ConstantKernel times SE or Matern.
+
+    Fields:
+        variance: c_h or c_p, a variance (not a standard deviation), in units of action or advice squared.
+        length_scale: l_h or l_p, in units of the scaled inputs.
+        smoothness: nu of (3.4), one of `SMOOTHNESSES`; infinity is the squared exponential (3.3). Static.
+    """
+
+    variance: Float[Array, ""]
+    length_scale: Float[Array, ""]
+    smoothness: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.smoothness not in SMOOTHNESSES:
+            raise ValueError(f"smoothness nu = {self.smoothness}: closed forms exist for {SMOOTHNESSES}")
+
+    @property
+    def inverse_length(self) -> Float[Array, ""]:
+        """What inputs are multiplied by so that `correlation` takes their squared distance."""
+        root = 1.0 if self.smoothness == SQUARED_EXPONENTIAL else math.sqrt(2.0 * self.smoothness)
+        return root / self.length_scale
+
+    def covariances(
+        self, points: Float[Array, "n d"], point: Float[Array, " d"], scale: Float[Array, " d"]
+    ) -> Float[Array, " n"]:
+        """k(x_i, x) for each row of `points`; inputs are multiplied by `scale` first.
+
+        Distances come from differences: the dot-product form loses half of the digits for near repeats.
+        """
+        difference = (points - point[None]) * (scale * self.inverse_length)[None]
+        return self.variance * correlation((difference * difference).sum(1), self.smoothness)
+
+    def gram(self, points: Float[Array, "n d"], scale: Float[Array, " d"]) -> Float[Array, "n n"]:
+        """k(x_i, x_j) for all pairs of rows."""
+        scaled = points * (scale * self.inverse_length)[None]
+        difference = scaled[:, None] - scaled[None]
+        return self.variance * correlation((difference * difference).sum(2), self.smoothness)

@@ -1,0 +1,1 @@
+"""Learners: GPC, GPC-NS and COACH behind one interface."""

@@ -1,0 +1,193 @@
+"""What a learner is: a frozen module of hyperparameters whose pure methods move a state."""
+
+import abc
+import enum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PyTree, Real
+
+import gpcjax._x64  # noqa: F401
+
+State = PyTree
+
+
+class Status(enum.IntEnum):
+    """What became of a correction, or of a whole run."""
+
+    OK = 0
+    FULL = 1
+    NON_FINITE = 2
+
+    @property
+    def label(self) -> str:
+        """The word stored in the `status` column."""
+        return self.name.lower().replace("_", "-")
+
+    @property
+    def message(self) -> str:
+        """What happened and what to do, for a person."""
+        return {
+            Status.OK: "every correction was learned",
+            Status.FULL: "a dictionary reached its capacity: raise max_capacity (capacity), or choose another on_full",
+            Status.NON_FINITE: "a value became infinite or not a number: check the observations and hyperparameters",
+        }[self]
+
+
+class Info(eqx.Module):
+    """What one correction did, for each action dimension; zeros and NaN where there was no advice or no such value."""
+
+    rate: Float[Array, " action"]
+    """Learning rate r_k (3.5): how far the action was moved. For COACH the change of the action at this observation."""
+    sigma_policy: Float[Array, " action"]
+    """Uncertainty of the policy before the correction; NaN for COACH."""
+    sigma_human: Float[Array, " action"]
+    """Uncertainty of the human model before the correction; NaN for COACH."""
+    appended: Bool[Array, " action"]
+    """The policy's dictionary gained a point."""
+    replaced: Bool[Array, " action"]
+    """SPARS (Alg. 3), or a full dictionary, put the new point in the place of an old one."""
+    full: Bool[Array, " action"]
+    """A dictionary had no room for this correction; what was then done is the learner's `on_full`."""
+    status: Int[Array, ""]
+    """A `Status`."""
+
+
+class Controller(eqx.Module):
+    """The policy of one state, with all that does not change between corrections computed beforehand.
+
+    Leaves and observations may carry further axes at the END (lanes): the engine keeps lanes last, where the
+    arithmetic vectorises best.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        """The action before it is clipped to [-1, 1]."""
+
+
+class Learner(eqx.Module):
+    """Learns a policy from advice.
+
+    Methods are pure, compile themselves when they are called directly, and may be used inside jit, vmap and scan.
+    Numbers are leaves, so that a grid over hyperparameters is a vmap; sizes and names are static.
+
+    Subclasses implement the underscored methods for checked float64 arrays.
+    """
+
+    obs_size: eqx.AbstractVar[int]
+    action_size: eqx.AbstractVar[int]
+
+    def init(self) -> State:
+        """The idle policy: its action is 0 everywhere."""
+        return self._init()
+
+    def act(self, state: State, obs: Real[Array, " obs"]) -> Float[Array, " action"]:
+        """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
+        return _act(self, state, self._vector("obs", obs, self.obs_size))
+
+    def uncertainty(
+        self, state: State, obs: Real[Array, " obs"], action: Real[Array, " action"]
+    ) -> Float[Array, " action"]:
+        """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
+        obs = self._vector("obs", obs, self.obs_size)
+        return _uncertainty(self, state, obs, self._vector("action", action, self.action_size))
+
+    def correct(
+        self,
+        state: State,
+        obs: Real[Array, " obs"],
+        action: Real[Array, " action"],
+        advice: Real[Array, " action"],
+    ) -> tuple[State, Info]:
+        """Learns from one correction.
+
+        Args:
+            state: from `init` or an earlier correction.
+            obs: (obs_size,), where the correction was given.
+            action: (action_size,), the action that was executed there.
+            advice: (action_size,), h: -1 for less, 1 for more, 0 for no advice, which leaves that dimension untouched.
+
+        Returns:
+            The new state, of the same shapes, and what was done. A status other than `Status.OK` means that the
+            correction was not learned.
+
+        Raises:
+            ValueError: a shape does not fit, or advice is none of -1, 0, 1 (where its value is known).
+        """
+        advice = self._vector("advice", advice, self.action_size)
+        if not isinstance(advice, jax.core.Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+            raise ValueError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
+        obs = self._vector("obs", obs, self.obs_size)
+        return _correct(self, state, obs, self._vector("action", action, self.action_size), advice)
+
+    @abc.abstractmethod
+    def grow(self, state: State) -> State:
+        """The same state with twice the room, for hosts that see `Info.full`."""
+
+    @abc.abstractmethod
+    def has_room(self, state: State) -> Bool[Array, ""]:
+        """Whether one more correction surely fits, whatever it is."""
+
+    @abc.abstractmethod
+    def resize(self, state: State, policy_capacity: int, human_capacity: int) -> State:
+        """The same state with room for these many points in each policy and each human model."""
+
+    @abc.abstractmethod
+    def largest_sigma(self) -> Float[Array, ""]:
+        """An upper bound of `uncertainty`, for teachers that wait for it; 0 for COACH."""
+
+    @abc.abstractmethod
+    def controller(self, state: State) -> Controller:
+        """The policy of `state`, ready for many steps."""
+
+    @abc.abstractmethod
+    def points(self, state: State) -> tuple[Int[Array, ""], Int[Array, ""]]:
+        """Points held by the policies and by the human models, over all action dimensions (0, 0 for COACH)."""
+
+    @abc.abstractmethod
+    def _init(self) -> State: ...
+
+    @abc.abstractmethod
+    def _uncertainty(
+        self, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
+    ) -> Float[Array, " action"]: ...
+
+    @abc.abstractmethod
+    def _correct(
+        self,
+        state: State,
+        obs: Float[Array, " obs"],
+        action: Float[Array, " action"],
+        advice: Float[Array, " action"],
+    ) -> tuple[State, Info]: ...
+
+    def _vector(self, name: str, value: Real[Array, " size"], size: int) -> Float[Array, " size"]:
+        array = jnp.asarray(value, float)
+        if array.shape != (size,):
+            raise ValueError(f"{name} has shape {array.shape}, this learner takes ({size},)")
+        return array
+
+
+@eqx.filter_jit
+def _act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
+
+
+@eqx.filter_jit
+def _uncertainty(
+    learner: Learner, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
+) -> Float[Array, " action"]:
+    return learner._uncertainty(state, obs, action)
+
+
+@eqx.filter_jit
+def _correct(
+    learner: Learner,
+    state: State,
+    obs: Float[Array, " obs"],
+    action: Float[Array, " action"],
+    advice: Float[Array, " action"],
+) -> tuple[State, Info]:
+    return learner._correct(state, obs, action, advice)

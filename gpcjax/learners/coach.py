@@ -1,0 +1,146 @@
+"""COACH, the baseline: linear policies on normalised radial basis functions, Alg. 1 of the thesis.
+
+The features (2.4) are Gaussians of one width on a regular grid, normalised to sum to one. They are therefore a product of one
+soft assignment for each observation dimension, and are kept that way: a grid of 4 x 4 x 4 x 4 costs 16 exponentials,
+and an observation far outside the grid still has features that sum to one.
+
+| thesis | here |
+|---|---|
+| theta, psi | `COACHState.policy`, `COACHState.human` |
+| phi | `features` |
+| beta (Table A.1 prints it as alpha) | `beta` |
+| e | `magnitude` |
+| c_c | `constant` |
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from gpcjax.learners.base import Controller, Info, Learner, Status
+
+
+class Grid(eqx.Module):
+    """Centres of the basis functions: `counts[i]` points from `lower[i]` to `upper[i]`; the spacing is the width."""
+
+    lower: Float[Array, "obs *lanes"]
+    upper: Float[Array, "obs *lanes"]
+    counts: tuple[int, ...] = eqx.field(static=True)
+
+    def memberships(self, obs: Float[Array, "obs *lanes"]) -> list[Float[Array, "count *lanes"]]:
+        """For each observation dimension the normalised features along it; their outer product is phi."""
+        result = []
+        for i, count in enumerate(self.counts):
+            spacing = (self.upper[i] - self.lower[i]) / (count - 1)
+            steps = jnp.arange(count, dtype=obs.dtype).reshape(count, *[1] * (obs.ndim - 1))
+            distance = (obs[i] - self.lower[i])[None] / spacing[None] - steps
+            exponent = -0.5 * distance * distance
+            values = jnp.exp(exponent - exponent.max(0, keepdims=True))
+            result.append(values / values.sum(0, keepdims=True))
+        return result
+
+    def features(self, obs: Float[Array, " obs"]) -> Float[Array, "*grid"]:
+        """phi(s), of the grid's shape, summing to one."""
+        product = jnp.ones(())
+        for values in self.memberships(obs):
+            product = product[..., None] * values.reshape((1,) * product.ndim + (-1,))
+        return product
+
+
+class COACHState(eqx.Module):
+    """Weights of both models, one grid for each action dimension (leading axis)."""
+
+    policy: Float[Array, "action *grid"]
+    human: Float[Array, "action *grid"]
+
+
+class GridController(Controller):
+    """theta . phi(s), contracted one observation dimension at a time."""
+
+    weights: Float[Array, "action *grid_and_lanes"]
+    grid: Grid
+
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        total = self.weights
+        for values in self.grid.memberships(obs):
+            inner = total.ndim - 1 - values.ndim
+            total = (total * values.reshape(1, values.shape[0], *[1] * inner, *values.shape[1:])).sum(1)
+        return total
+
+
+class COACH(Learner):
+    """COACH of Celemin and Ruiz-del-Solar.
+
+    Fields:
+        grid: centres of the radial basis functions.
+        beta: (action_size,), learning rate of the human model.
+        magnitude: (action_size,), e, the assumed error of the action.
+        constant: (action_size,), c_c, added to |H(s)|.
+    """
+
+    grid: Grid
+    beta: Float[Array, " action"]
+    magnitude: Float[Array, " action"]
+    constant: Float[Array, " action"]
+    obs_size: int = eqx.field(static=True)
+    action_size: int = eqx.field(static=True)
+
+    def grow(self, state: COACHState) -> COACHState:
+        """COACH has no dictionary: the state as it is."""
+        return state
+
+    def controller(self, state: COACHState) -> GridController:
+        """The policy of `state`."""
+        return GridController(weights=state.policy, grid=self.grid)
+
+    def points(self, state: COACHState) -> tuple[Int[Array, ""], Int[Array, ""]]:
+        """No dictionaries: zero points."""
+        return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
+
+    def has_room(self, state: COACHState) -> Bool[Array, ""]:
+        """Always."""
+        return jnp.ones((), bool)
+
+    def resize(self, state: COACHState, policy_capacity: int, human_capacity: int) -> COACHState:
+        """COACH has no dictionary: the state as it is."""
+        return state
+
+    def largest_sigma(self) -> Float[Array, ""]:
+        """COACH knows no uncertainty."""
+        return jnp.zeros(())
+
+    def _init(self) -> COACHState:
+        shape = (self.action_size, *self.grid.counts)
+        return COACHState(policy=jnp.zeros(shape), human=jnp.zeros(shape))
+
+    def _uncertainty(self, state, obs, action):
+        return jnp.full(self.action_size, jnp.nan)
+
+    def _correct(self, state, obs, action, advice):
+        features = self.grid.features(obs)[None]
+        each = lambda values: values.reshape(-1, *[1] * len(self.grid.counts))  # noqa: E731
+        axes = tuple(range(1, features.ndim))
+        given = advice != 0
+
+        estimate = (state.human * features).sum(axes)  # line 7, before the update of psi
+        alpha = jnp.abs(estimate) + self.constant  # line 10
+        rate = alpha * self.magnitude * (features * features).sum()
+        finite = jnp.isfinite(rate)
+        learns = given & finite
+        human_step = jnp.where(learns, self.beta * (advice - estimate), 0.0)  # line 8
+        policy_step = jnp.where(learns, alpha * advice * self.magnitude, 0.0)  # line 11
+        state = COACHState(
+            policy=state.policy + each(policy_step) * features,
+            human=state.human + each(human_step) * features,
+        )
+        none = jnp.zeros(self.action_size, bool)
+        info = Info(
+            rate=jnp.where(given, rate, 0.0),
+            sigma_policy=jnp.full(self.action_size, jnp.nan),
+            sigma_human=jnp.full(self.action_size, jnp.nan),
+            appended=none,
+            replaced=none,
+            full=none,
+            status=jnp.where((finite | ~given).all(), Status.OK, Status.NON_FINITE).astype(jnp.int32),
+        )
+        return state, info

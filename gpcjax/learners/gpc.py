@@ -1,0 +1,199 @@
+"""Gaussian Process Coach (GPC) and its normalised variant GPC-NS: Alg. 2 with SPARS (Alg. 3) of the thesis.
+
+| thesis | here |
+|---|---|
+| P, N_p | `policy`, `GPCState.policy` |
+| H, N_h | `human`, `GPCState.human` |
+| k_p, k_h; c, l, nu | `Kernel`; `variance`, `length_scale`, `smoothness` |
+| w (multiplies the inputs) | `scaling` |
+| r_k, c_r, r_c | `Info.rate`, `constant_rate`, `static_rate` |
+| sigma_p, sigma_h | `Info.sigma_policy`, `Info.sigma_human` |
+| sigma_thres | half of the policy's prior standard deviation |
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from gpcjax.gp.kernels import correlation
+from gpcjax.gp.regression import GaussianProcess, Posterior
+from gpcjax.learners.base import Controller, Info, Learner, Status
+
+ON_FULL = ("error", "replace-nearest", "drop")
+"""What a full dictionary does: refuse the correction with `Status.FULL`; let the new point take the place of the one with the
+largest covariance; or leave the full dictionary as it is while the other model learns."""
+
+
+class GPCState(eqx.Module):
+    """One policy and one human model for each action dimension (leading axis)."""
+
+    policy: Posterior
+    human: Posterior
+
+
+class GPController(Controller):
+    """Weighted kernel sums over the policies' dictionaries: k(s) . alpha (2.9)."""
+
+    points: Float[Array, "action n obs *lanes"]
+    """Dictionary inputs, scaled and divided by the length-scale."""
+    weights: Float[Array, "action n *lanes"]
+    """c * alpha, zero on unused rows."""
+    scale: Float[Array, "action obs *lanes"]
+    """What an observation is multiplied by to stand among `points`."""
+    smoothness: float = eqx.field(static=True)
+
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        difference = self.points - (obs[None] * self.scale)[:, None]
+        squared = (difference * difference).sum(2)
+        return (correlation(squared, self.smoothness) * self.weights).sum(1)
+
+
+class GPC(Learner):
+    """GPC, or GPC-NS where both processes normalise.
+
+    Fields:
+        policy, human: the Gaussian processes P (Matern) and H (squared exponential).
+        scaling: (obs_size,), w: what observations are multiplied by; not used by GPC-NS.
+        constant_rate: c_r, added to the adaptive rate (3.5).
+        static_rate: r_c, or None: if given it is the whole rate, as in the ablation of Table 5.4.
+        sparsify: use SPARS (Alg. 3); otherwise every correction is appended. Static.
+        on_full: one of `ON_FULL`. Static.
+        policy_capacity, human_capacity: points for which `init` makes room. Static.
+    """
+
+    policy: GaussianProcess
+    human: GaussianProcess
+    scaling: Float[Array, " obs"]
+    constant_rate: Float[Array, ""]
+    static_rate: Float[Array, ""] | None
+    obs_size: int = eqx.field(static=True)
+    action_size: int = eqx.field(static=True)
+    sparsify: bool = eqx.field(static=True)
+    on_full: str = eqx.field(static=True)
+    policy_capacity: int = eqx.field(static=True)
+    human_capacity: int = eqx.field(static=True)
+
+    def grow(self, state: GPCState) -> GPCState:
+        """The same state with twice the room."""
+        return self.resize(state, 2 * state.policy.points.shape[1], 2 * state.human.points.shape[1])
+
+    def resize(self, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
+        """The same state with room for these many points in each policy and each human model."""
+        return GPCState(
+            policy=jax.vmap(lambda posterior: self.policy.grow(posterior, policy_capacity))(state.policy),
+            human=jax.vmap(lambda posterior: self.human.grow(posterior, human_capacity))(state.human),
+        )
+
+    def controller(self, state: GPCState) -> GPController:
+        """The policy of `state`, ready for many steps."""
+        kernel = self.policy.kernel
+        scale = state.policy.scale * kernel.inverse_length
+        return GPController(
+            points=state.policy.points * scale[:, None],
+            weights=kernel.variance * state.policy.weights,
+            scale=scale,
+            smoothness=kernel.smoothness,
+        )
+
+    def points(self, state: GPCState) -> tuple[Int[Array, ""], Int[Array, ""]]:
+        """Points of P and of H over all action dimensions."""
+        return state.policy.count.sum(), state.human.count.sum()
+
+    def has_room(self, state: GPCState) -> Bool[Array, ""]:
+        """Whether one more correction surely fits into every dictionary."""
+        policy = (state.policy.count < state.policy.points.shape[1]).all()
+        return policy & (state.human.count < state.human.points.shape[1]).all()
+
+    def largest_sigma(self) -> Float[Array, ""]:
+        """The human model's prior deviation: data only lower it."""
+        return jnp.sqrt(self.human.kernel.variance + self.human.noise)
+
+    def _init(self) -> GPCState:
+        unscaled = jnp.ones(1)  # the action is not scaled in GPC
+        policy = self.policy.init(self.policy_capacity, self.scaling)
+        human = self.human.init(self.human_capacity, jnp.concatenate([self.scaling, unscaled]))
+        repeat = lambda leaf: jnp.broadcast_to(leaf, (self.action_size, *leaf.shape))  # noqa: E731
+        return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
+
+    def _uncertainty(self, state, obs, action):
+        def one(human: Posterior, action: Float[Array, ""]) -> Float[Array, ""]:
+            return self.human.deviation(human, self.human.covariances(human, _pair(obs, action)))
+
+        return jax.vmap(one)(state.human, action)
+
+    def _correct(self, state, obs, action, advice):
+        if self.policy.normalise:
+            # One dimension after the other: jaxlib's batched Cholesky waits for pool threads while it holds one, and
+            # two such calls at once can wait for each other for ever. A batch of one never waits.
+            parts = [
+                self._correct_one(jax.tree.map(lambda leaf, i=i: leaf[i], state), obs, action[i], advice[i])
+                for i in range(self.action_size)
+            ]
+            state, info = jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
+        else:
+            state, info = jax.vmap(self._correct_one, in_axes=(0, None, 0, 0))(state, obs, action, advice)
+        return state, dataclasses.replace(info, status=info.status.max())
+
+    def _correct_one(
+        self,
+        state: GPCState,
+        obs: Float[Array, " obs"],
+        action: Float[Array, ""],
+        advice: Float[Array, ""],
+    ) -> tuple[GPCState, Info]:
+        """Alg. 2, lines 7 to 14, for one action dimension; its models have no leading axis here."""
+        pair = _pair(obs, action)
+        human_covariances = self.human.covariances(state.human, pair)
+        policy_covariances = self.policy.covariances(state.policy, obs)
+        sigma_human = self.human.deviation(state.human, human_covariances)
+        sigma_policy = self.policy.deviation(state.policy, policy_covariances)
+        if self.static_rate is None:
+            rate = sigma_policy + sigma_human + self.constant_rate
+        else:
+            rate = self.static_rate
+        target = action + rate * advice
+
+        given = advice != 0
+        threshold = 0.5 * jnp.sqrt(self.policy.kernel.variance)
+        replaces = (sigma_policy < threshold) & (state.policy.count > 0) if self.sparsify else jnp.array(False)
+        policy_full = ~replaces & (state.policy.count >= state.policy.capacity)
+        human_full = state.human.count >= state.human.capacity
+        full = given & (policy_full | human_full)
+        finite = jnp.isfinite(target) & jnp.isfinite(sigma_policy) & jnp.isfinite(sigma_human)
+        learns = given & finite
+
+        policy_index = jnp.where(replaces, policy_covariances.argmax(), state.policy.count)
+        human_index = state.human.count
+        policy_learns, human_learns = learns, learns
+        if self.on_full == "error":
+            policy_learns = human_learns = learns & ~full
+        elif self.on_full == "drop":
+            policy_learns, human_learns = learns & ~policy_full, learns & ~human_full
+        else:
+            replaces = replaces | policy_full
+            policy_index = jnp.where(policy_full, policy_covariances.argmax(), policy_index)
+            human_index = jnp.where(human_full, human_covariances.argmax(), human_index)
+
+        policy = self.policy.put(state.policy, obs, target, policy_index, policy_learns)
+        human = self.human.put(state.human, pair, advice, human_index, human_learns)
+        finite &= jnp.isfinite(policy.weights).all() & jnp.isfinite(jnp.trace(human.matrix))
+        refused = full if self.on_full == "error" else jnp.array(False)
+        status = jnp.where(finite | ~given, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
+        info = Info(
+            rate=jnp.where(given, rate, 0.0),
+            sigma_policy=sigma_policy,
+            sigma_human=sigma_human,
+            appended=policy_learns & ~replaces,
+            replaced=policy_learns & replaces,
+            full=full,
+            status=status.astype(jnp.int32),
+        )
+        return GPCState(policy=policy, human=human), info
+
+
+def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:
+    """z = (s, a), the human model's input (3.2)."""
+    return jnp.concatenate([obs, action[None]])

@@ -1,0 +1,216 @@
+"""Final return over the settings that a grid varies: heatmaps for two of them, lines for one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from gpcjax.report import style, words
+from gpcjax.report.groups import Group, unique
+from gpcjax.report.statistics import interquartile_interval, interquartile_mean
+from gpcjax.report.summary import Row, Summary
+
+COLOURS = "cividis"
+"""Even in lightness, and the same with any colour vision."""
+
+MOST_NUMBERS = 100
+"""A panel with more points shows colours and marks only."""
+
+BEST, TIED = "\N{BLACK STAR}", "\N{BULLET}"
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One oracle and error rate: a heatmap of one algorithm (two axes), or lines of several (one axis)."""
+
+    title: str
+    axes: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+
+class _Fields(NamedTuple):
+    """What a heatmap shows, rows along y: nan where no run can be compared."""
+
+    x: list[float]
+    y: list[float]
+    final: Float[np.ndarray, "y x"]
+    best: Bool[np.ndarray, "y x"]
+    tied: Bool[np.ndarray, "y x"]
+
+
+def final_returns(summary: Summary) -> Figure | None:
+    """Interquartile mean of the final return over the grid, a panel for each algorithm, oracle and error rate.
+
+    The first two settings with several values span a heatmap; where more vary, a field shows the best over the
+    others. With one setting the algorithms share a panel of lines with their 95% intervals. A star marks the best
+    point, a dot the points tied with it. None if nothing varies or no run can be compared.
+    """
+    panels, study = _panels(summary), summary.study
+    if not any(group.runs for panel in panels for group in panel.groups):
+        return None
+    with style.publication():
+        columns = len(study.panels) if len(study.panels) <= 4 else None
+        figure, axes = style.panels([panel.title for panel in panels], columns, share=False)
+        drawn = list(zip(panels, axes, strict=True))
+        label = "final " + words.return_label(study)
+        _draw_lines([(panel, axis) for panel, axis in drawn if len(panel.axes) == 1], summary, label)
+        _draw_heatmaps(
+            figure, [(panel, axis) for panel, axis in drawn if len(panel.axes) == 2], summary, label
+        )
+        style.legend(figure, _legend(panels))
+    return figure
+
+
+def _panels(summary: Summary) -> list[_Panel]:
+    """Heatmaps by algorithm first, then lines by setting; in each the oracles and error rates."""
+    study = summary.study
+    several = len({oracle for oracle, _ in study.panels}) > 1
+    axes = {algo: study.axes(algo)[:2] for algo in study.algorithms}
+    shares = [(algo,) for algo in study.algorithms if len(axes[algo]) == 2]
+    lines = unique(axes[algo] for algo in study.algorithms if len(axes[algo]) == 1)
+    shares += [tuple(algo for algo in study.algorithms if axes[algo] == names) for names in lines]
+    panels = []
+    for algorithms in shares:
+        names = axes[algorithms[0]]
+        for oracle, error in study.panels:
+            groups = tuple(group for group in study.select(oracle, error) if group.algo in algorithms)
+            title = f"{words.algorithm(algorithms[0])}, " if len(names) == 2 else ""
+            title += f"oracle {oracle}, " if several else ""
+            panels.append(_Panel(f"{title}{words.percent(error)} error", names, groups))
+    return panels
+
+
+def _draw_heatmaps(
+    figure: Figure, drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: str
+) -> None:
+    """All heatmaps with one scale of colours and its bar."""
+    fields = [_fields(panel, summary) for panel, _ in drawn]
+    known = [value for field in fields for value in field.final[~np.isnan(field.final)]]
+    if not known:
+        return
+    scale = Normalize(min(known), max(known))
+    for (panel, axis), field in zip(drawn, fields, strict=True):
+        _heatmap(axis, panel.axes, field, scale)
+    bar = figure.colorbar(
+        ScalarMappable(scale, COLOURS),
+        ax=[axis for _, axis in drawn],
+        shrink=0.9,
+        aspect=25,
+        pad=0.02,
+        label=label,
+    )
+    bar.ax.spines[:].set_visible(False)
+
+
+def _fields(panel: _Panel, summary: Summary) -> _Fields:
+    across, up = panel.axes
+    x, y = _values(panel.groups, across), _values(panel.groups, up)
+    final = np.full((len(y), len(x)), np.nan)
+    best, tied = np.zeros(final.shape, bool), np.zeros(final.shape, bool)
+    for group in panel.groups:
+        if group.runs:
+            place = y.index(dict(group.point.values)[up]), x.index(dict(group.point.values)[across])
+            final[place] = np.fmax(final[place], _final(group))
+            best[place] |= summary.of(group).best
+            tied[place] |= summary.of(group).tied
+    return _Fields(x, y, final, best, tied)
+
+
+def _heatmap(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize) -> None:
+    axis.set_facecolor("#e4e4e4")  # a point without a run
+    axis.imshow(field.final, origin="lower", aspect="auto", cmap=COLOURS, norm=scale)
+    axis.set_xticks(range(len(field.x)), [f"{value:g}" for value in field.x])
+    axis.set_yticks(range(len(field.y)), [f"{value:g}" for value in field.y])
+    axis.tick_params(length=0)
+    axis.spines[:].set_visible(False)
+    axis.set_xlabel(words.math_symbol(names[0]))
+    axis.set_ylabel(words.math_symbol(names[1]))
+    decimals = words.places(field.final.ravel().tolist())
+    size = 6.5 if field.final.size <= 30 else 5.0
+    for place, value in np.ndenumerate(field.final):
+        if not np.isnan(value):
+            mark = BEST if field.best[place] else TIED if field.tied[place] else ""
+            number = words.number(value, decimals) if field.final.size <= MOST_NUMBERS else ""
+            text = "\n".join(filter(None, [mark, number]))
+            axis.text(
+                place[1], place[0], text, color=_ink(scale(value)), fontsize=size, ha="center", va="center"
+            )
+
+
+def _draw_lines(drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: str) -> None:
+    """All panels of lines with the same height."""
+    for panel, axis in drawn:
+        _lines(axis, panel, summary)
+        axis.set_ylabel(label)
+    if drawn:
+        low, high = zip(*(axis.get_ylim() for _, axis in drawn), strict=True)
+        for _, axis in drawn:
+            axis.set_ylim(min(low), max(high))
+
+
+def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
+    (name,) = panel.axes
+    for algo in unique(group.algo for group in panel.groups):
+        groups = [group for group in panel.groups if group.algo == algo and group.runs]
+        x = np.array([group.point.get(name) for group in groups], dtype=np.float64)
+        estimates = np.array([interquartile_interval(group.final.values[:, None]) for group in groups])
+        colour = style.colour(algo)
+        axis.fill_between(x, estimates[:, 1], estimates[:, 2], color=colour, alpha=0.2, linewidth=0)
+        axis.plot(x, estimates[:, 0], color=colour)
+        for group, value, (estimate, _, _) in zip(groups, x, estimates, strict=True):
+            axis.plot(value, estimate, zorder=4, **_marker(colour, summary.of(group)))
+    values = _values(panel.groups, name)
+    if values[0] > 0 and values[-1] >= 5 * values[0]:
+        axis.set_xscale("log")
+    axis.set_xticks(values, [f"{value:g}" for value in values], minor=False)
+    axis.set_xticks([], minor=True)
+    axis.set_xlabel(words.math_symbol(name))
+
+
+def _marker(colour: str, row: Row) -> dict[str, Any]:
+    if row.best:
+        return {"marker": "*", "markersize": 9, "color": colour, "markeredgecolor": "white", "clip_on": False}
+    return {
+        "marker": "o",
+        "markersize": 4,
+        "color": colour,
+        "markerfacecolor": colour if row.tied else "white",
+    }
+
+
+def _legend(panels: Sequence[_Panel]) -> list[Artist]:
+    lines = [panel for panel in panels if len(panel.axes) == 1]
+    handles: list[Artist] = [
+        Line2D([], [], color=style.colour(algo), label=words.algorithm(algo))
+        for algo in unique(group.algo for panel in lines for group in panel.groups)
+    ]
+    plain: dict[str, Any] = {"linestyle": "none", "color": style.INK}
+    handles.append(Line2D([], [], marker="*", markersize=8, markeredgewidth=0, label="best", **plain))
+    handles.append(Line2D([], [], marker="o", markersize=4, label="tied with it", **plain))
+    if lines:
+        worse = Line2D(
+            [], [], marker="o", markersize=4, markerfacecolor="white", label="significantly worse", **plain
+        )
+        handles.append(worse)
+    return handles
+
+
+def _values(groups: Sequence[Group], name: str) -> list[float]:
+    return sorted({value for group in groups if (value := group.point.get(name)) is not None})
+
+
+def _final(group: Group) -> float:
+    return interquartile_mean(group.final.values[:, None])
+
+
+def _ink(shade: float) -> str:
+    """Dark on the bright half of the colours."""
+    return style.INK if shade > 0.5 else "white"

@@ -1,0 +1,223 @@
+"""The rows of a store as groups of runs that differ in their seed only: the arrays that statistics and figures take."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+
+from gpcjax.errors import UserError
+from gpcjax.learners.hyperparameters import ALGORITHMS
+from gpcjax.report.statistics import Scores, first_crossing
+
+T = TypeVar("T")
+
+FINAL_EPISODES = 5
+"""The final return is the mean of this many last episodes."""
+
+CLOSED_GAP = 0.9
+"""The part of the gap between the idle policy and the oracle that a run has to close."""
+
+
+class Baseline(NamedTuple):
+    """Return of a policy that does not learn, over `n` starts; nan and 0 if the store does not say."""
+
+    mean: float = np.nan
+    std: float = np.nan
+    n: int = 0
+
+
+class Stop(NamedTuple):
+    """A run that ended before its time: the episode it reached and why."""
+
+    seed: int
+    episode: int
+    status: str
+
+
+@dataclass(frozen=True)
+class Point:
+    """Values of the settings that vary; a setting that does not concern the algorithm is left out."""
+
+    values: tuple[tuple[str, float], ...] = ()
+
+    def get(self, name: str) -> float | None:
+        return dict(self.values).get(name)
+
+    def agrees(self, other: "Point") -> bool:
+        """Whether the settings that concern both have the same values."""
+        mine, theirs = dict(self.values), dict(other.values)
+        return all(mine[name] == theirs[name] for name in mine.keys() & theirs.keys())
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The runs of one algorithm with one oracle, error rate and point.
+
+    `seeds`, `returns` and `corrections` (in each episode) hold the runs that can be compared: finished, status ok.
+    `stopped` are those whose status is not ok; `unfinished` the seeds whose episodes are not all there yet.
+    """
+
+    oracle: str
+    error: float
+    algo: str
+    point: Point
+    seeds: Int[np.ndarray, "runs"]
+    returns: Float[np.ndarray, "runs episodes"]
+    corrections: Float[np.ndarray, "runs episodes"]
+    stopped: tuple[Stop, ...] = ()
+    unfinished: tuple[int, ...] = ()
+
+    @property
+    def runs(self) -> int:
+        return len(self.seeds)
+
+    @property
+    def final(self) -> Scores:
+        """Mean return of the last episodes."""
+        return self._scores(self.returns[:, -FINAL_EPISODES:].mean(axis=1))
+
+    @property
+    def area(self) -> Scores:
+        """Area under the learning curve: the mean return of an episode."""
+        return self._scores(self.returns.mean(axis=1))
+
+    @property
+    def corrections_used(self) -> Scores:
+        """Corrections in all episodes together."""
+        return self._scores(self.corrections.sum(axis=1))
+
+    def closed_after(self, idle: Baseline, oracle: Baseline) -> Scores:
+        """The first episode that closes `CLOSED_GAP` of the gap; inf for never, nan if there is no gap to close."""
+        gap = oracle.mean - idle.mean
+        return self._scores(first_crossing(self.returns, idle.mean + CLOSED_GAP * gap if gap > 0 else np.nan))
+
+    def _scores(self, values: Float[np.ndarray, "runs"]) -> Scores:
+        return Scores(self.seeds, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All groups of a store with what its manifest says of them.
+
+    `episodes` is how long the compared runs are: as long as the specification says, or as the longest run so far.
+    """
+
+    env: str
+    groups: tuple[Group, ...]
+    episodes: int
+    varying: tuple[str, ...]
+    idle: Baseline
+    oracles: Mapping[str, Baseline]
+    manifest: Mapping[str, Any]
+
+    @property
+    def algorithms(self) -> tuple[str, ...]:
+        order = self.manifest.get("specification", {}).get("algo", ALGORITHMS)
+        return tuple(sorted({group.algo for group in self.groups}, key=lambda algo: _rank(algo, order)))
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        return tuple(sorted(unique(group.error for group in self.groups)))
+
+    @property
+    def panels(self) -> tuple[tuple[str, float], ...]:
+        """Each oracle with each error rate: what is compared with each other."""
+        return unique((group.oracle, group.error) for group in self.groups)
+
+    def oracle(self, name: str) -> Baseline:
+        return self.oracles.get(name, Baseline())
+
+    def select(self, oracle: str, error: float, algo: str | None = None) -> tuple[Group, ...]:
+        """The groups of one panel, of one algorithm if it is given."""
+        return tuple(
+            group
+            for group in self.groups
+            if (group.oracle, group.error) == (oracle, error) and algo in (None, group.algo)
+        )
+
+    def axes(self, algo: str) -> tuple[str, ...]:
+        """The settings that take several values for `algo`."""
+        points = [group.point for group in self.groups if group.algo == algo]
+        return tuple(name for name in self.varying if len({point.get(name) for point in points}) > 1)
+
+
+def gather(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Study:
+    """Sort the rows of a store into groups, ordered by oracle, error, algorithm, point.
+
+    Raises:
+        UserError: there is no row.
+    """
+    if episodes.empty:
+        raise UserError("the store holds no episodes: run the sweep first")
+    specification = manifest.get("specification", {})
+    baselines = manifest.get("baselines") or {}
+    varying = tuple(name for name in manifest.get("varying", ()) if name in episodes.columns)
+    length = _length(episodes, specification.get("episodes"))
+    keys = ["oracle", "error", "algo", *varying]
+    groups = [_group(rows, varying, length) for _, rows in episodes.groupby(keys, dropna=False, sort=False)]
+    oracles, algorithms = specification.get("oracle", ()), specification.get("algo", ALGORITHMS)
+
+    def place(group: Group) -> tuple[Any, ...]:
+        algorithm = _rank(group.algo, algorithms)
+        return _rank(group.oracle, oracles), group.error, algorithm, group.point.values
+
+    return Study(
+        env=str(specification.get("env") or episodes["env"].iloc[0]),
+        groups=tuple(sorted(groups, key=place)),
+        episodes=length,
+        varying=varying,
+        idle=_baseline(baselines.get("idle")),
+        oracles={name: _baseline(numbers) for name, numbers in (baselines.get("oracles") or {}).items()},
+        manifest=manifest,
+    )
+
+
+def unique(values: Iterable[T]) -> tuple[T, ...]:
+    """Each value once, in order of appearance."""
+    return tuple(dict.fromkeys(values))
+
+
+def _length(episodes: pd.DataFrame, specified: int | None) -> int:
+    episode, ok = episodes["episode"].to_numpy(np.int64), np.asarray(episodes["status"] == "ok")
+    reached = int(episode[ok].max() if ok.any() else episode.max())
+    return min(specified, reached) if specified else reached
+
+
+def _group(rows: pd.DataFrame, varying: Sequence[str], length: int) -> Group:
+    key = rows.iloc[0]
+    seeds, run = np.unique(rows["seed"].to_numpy(np.int64), return_inverse=True)
+    episode, status = rows["episode"].to_numpy(np.int64), rows["status"].to_numpy(str)
+    stopped = {
+        seeds[run[i]]: Stop(int(seeds[run[i]]), int(episode[i]), status[i])
+        for i in np.flatnonzero(status != "ok")
+    }
+    returns, corrections = (np.full((len(seeds), max(length, episode.max())), np.nan) for _ in range(2))
+    returns[run, episode - 1] = rows["return"].to_numpy(np.float64)
+    corrections[run, episode - 1] = rows["corrections"].to_numpy(np.float64)
+    whole = ~np.isnan(returns[:, :length]).any(axis=1)
+    ok = ~np.isin(seeds, list(stopped))
+    kept = whole & ok
+    return Group(
+        oracle=str(key["oracle"]),
+        error=float(key["error"]),
+        algo=str(key["algo"]),
+        point=Point(tuple((name, float(key[name])) for name in varying if not pd.isna(key[name]))),
+        seeds=seeds[kept],
+        returns=returns[kept, :length],
+        corrections=corrections[kept, :length],
+        stopped=tuple(stopped.values()),
+        unfinished=tuple(seeds[ok & ~whole].tolist()),
+    )
+
+
+def _baseline(numbers: Mapping[str, Any] | None) -> Baseline:
+    if not numbers:
+        return Baseline()
+    return Baseline(float(numbers["mean"]), float(numbers["std"]), int(numbers["n"]))
+
+
+def _rank(name: str, order: Sequence[str]) -> tuple[int, str]:
+    return (order.index(name) if name in order else len(order)), name

@@ -1,0 +1,134 @@
+"""The look of every figure: sizes, colours, panels in rows, and how a figure becomes bytes. No global state."""
+
+import io
+import string
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+# Blue, vermilion and green of Okabe and Ito (2008): told apart with any colour vision.
+ALGORITHM_COLOURS = {"gpc": "#0072B2", "gpc-ns": "#D55E00", "coach": "#009E73"}
+OTHER_COLOUR = "#CC79A7"
+ORACLE_COLOUR = "#333333"
+IDLE_COLOUR = "#777777"
+INK = "#222222"
+
+ONE_PANEL = 3.5
+PANEL_WIDTH, PANEL_HEIGHT = 2.4, 2.05
+"""Inches; one panel fits a journal's column, three its page."""
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure everywhere
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+    "lines.solid_capstyle": "round",
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "gpcjax",
+    "mathtext.default": "it",
+}
+
+
+@contextmanager
+def publication() -> Iterator[None]:
+    """Figures made or saved inside look like ours; nothing stays set."""
+    with matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+def colour(algo: str) -> str:
+    """The same for an algorithm in every figure."""
+    return ALGORITHM_COLOURS.get(algo, OTHER_COLOUR)
+
+
+def panels(
+    titles: Sequence[str], columns: int | None = None, share: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """A figure with a lettered panel for each title, in rows.
+
+    `columns` asks for rows of that length (one row an oracle, say), which is done where a page is wide enough. With
+    `share` the panels have the same axes, with numbers at the outer edge only.
+    """
+    number = len(titles)
+    across = columns if columns and 1 < columns <= 4 else _across(number)
+    down = -(-number // across)
+    width, height = (ONE_PANEL, 2.4) if number == 1 else (max(ONE_PANEL, PANEL_WIDTH * across), PANEL_HEIGHT)
+    figure = Figure(figsize=(width, height * down + 0.35), layout="constrained")
+    axes = list(figure.subplots(down, across, sharex=share, sharey=share, squeeze=False).flat)
+    for unused in axes[number:]:
+        unused.remove()
+    for position, (title, axis) in enumerate(zip(titles, axes, strict=False)):
+        letter = f"({string.ascii_lowercase[position]}) " if 1 < number <= 26 else ""
+        axis.set_title(letter + title)
+        if share:
+            axis.tick_params(labelbottom=position + across >= number, labelleft=position % across == 0)
+    return figure, axes[:number]
+
+
+def label(axes: Sequence[Axes], x: str, y: str) -> None:
+    """Label x under the lowest panel of each column, y beside the first of each row."""
+    for axis in axes:
+        axis.set_xlabel(x if axis.xaxis.get_tick_params()["labelbottom"] else "")
+        axis.set_ylabel(y if axis.yaxis.get_tick_params()["labelleft"] else "")
+
+
+def count_ticks(axis: Axes, last: int) -> None:
+    """Ticks for things counted from 1 to `last`: 1 and round numbers."""
+    round_numbers = MaxNLocator(nbins=5, integer=True, steps=[1, 2, 5, 10]).tick_values(0, last)
+    axis.set_xlim(1, max(last, 2))
+    axis.set_xticks([1, *(int(number) for number in round_numbers if 1 < number <= last)])
+
+
+def legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """One legend above the panels, where it covers no data; in two rows or more where one is too long."""
+    inches = sum(0.55 + 0.065 * len(str(handle.get_label())) for handle in handles)
+    rows = -(-inches // figure.get_figwidth())
+    columns = int(-(-len(handles) // max(rows, 1)))
+    if handles:
+        figure.legend(
+            handles=list(handles),
+            loc="outside upper center",
+            ncols=columns,
+            handlelength=1.8,
+            columnspacing=1.6,
+        )
+
+
+def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
+    """`figure` as "png", "pdf" or "svg"; the same figure gives the same bytes."""
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind, {})
+    stream = io.BytesIO()
+    with publication():
+        figure.savefig(stream, format=kind, dpi=dpi, metadata=undated)
+    return stream.getvalue()
+
+
+def _across(number: int) -> int:
+    if number <= 3:
+        return number
+    return 2 if number == 4 else 3 if number <= 9 else 4

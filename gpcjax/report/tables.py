@@ -1,0 +1,275 @@
+"""The tables of a report as sheets of text, and how the terminal shows them."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.console import Group as Lines
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from gpcjax.report import words
+from gpcjax.report.groups import CLOSED_GAP, FINAL_EPISODES, Group, Study, unique
+from gpcjax.report.summary import Difference, Row, Summary
+
+MOST_ROWS = 60
+"""Longer tables of differences are left to the files."""
+
+CLOSED = f"{100 * CLOSED_GAP:.0f}%"
+
+WORD_COLUMNS = ("error", "algo", "difference")
+"""Columns that are set to the left; the others hold numbers."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table as text; `breaks` are the rows that end a block."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    breaks: frozenset[int] = frozenset()
+
+
+def render(summary: Summary) -> RenderableType:
+    """What a sweep prints at its end: warnings, results by oracle, paired differences, and how to read them."""
+    differences = difference_sheets(summary) if len(summary.differences) <= MOST_ROWS else []
+    notes = reading(summary) + (reading_differences() if differences else [])
+    if len(summary.differences) > MOST_ROWS:
+        notes.append(
+            f"{len(summary.differences)} paired differences between algorithms are in differences.csv."
+        )
+    sheets = result_sheets(summary) + point_sheets(summary) + differences
+    return Lines(
+        *(Text(line, style="bold red") for line in warnings(summary)),
+        *(part for sheet in sheets for part in (Text(), _Fitted(sheet))),
+        Text(),
+        *(Text(note, style="dim") for note in notes),
+    )
+
+
+def result_sheets(summary: Summary) -> list[Sheet]:
+    """Algorithm by error rate, a sheet for each oracle; of a grid the best points."""
+    return [
+        _results(
+            summary.study, oracle, [row for row in summary.leading if row.group.oracle == oracle], grid=False
+        )
+        for oracle in _oracles(summary)
+    ]
+
+
+def grid_sheets(summary: Summary) -> list[Sheet]:
+    """The same for every point of a grid."""
+    return [
+        _results(
+            summary.study, oracle, [row for row in summary.rows if row.group.oracle == oracle], grid=True
+        )
+        for oracle in _oracles(summary)
+    ]
+
+
+def point_sheets(summary: Summary) -> list[Sheet]:
+    """The best point of each algorithm that has several, and how many are tied with it; a sheet for each oracle."""
+    sheets = []
+    for oracle in _oracles(summary):
+        best = [row for row in summary.leading if row.group.oracle == oracle and row.best]
+        decimals = words.places([row.final.estimate for row in best])
+        rows, errors = [], []
+        for row in best:
+            points = [
+                summary.of(group) for group in summary.study.select(oracle, row.group.error, row.group.algo)
+            ]
+            if len(points) > 1:
+                tied = sum(point.tied for point in points)
+                final = words.interval(row.final, decimals)
+                rows.append((*_head(row.group, summary.study.varying), final, str(tied), str(len(points))))
+                errors.append(row.group.error)
+        if rows:
+            columns = ("error", "algo", *_symbols(summary.study), "final return", "tied", "points")
+            sheets.append(
+                Sheet(f"best points of the grid, oracle {oracle}", columns, tuple(rows), _breaks(errors))
+            )
+    return sheets
+
+
+def difference_sheets(summary: Summary) -> list[Sheet]:
+    """Paired differences in area, a sheet for each oracle."""
+    sheets = []
+    for oracle in _oracles(summary):
+        shown = [difference for difference in summary.differences if difference.first.oracle == oracle]
+        if shown:
+            columns = ("error", "difference", *_symbols(summary.study), "in area", "pairs")
+            decimals = words.places([bound for difference in shown for bound in difference.area])
+            rows = tuple(_difference(difference, summary.study, decimals) for difference in shown)
+            breaks = _breaks([difference.first.error for difference in shown])
+            sheets.append(Sheet(f"paired differences, oracle {oracle}", columns, rows, breaks))
+    return sheets
+
+
+def warnings(summary: Summary) -> list[str]:
+    """Runs that are not in the numbers, and why: a sentence each."""
+    study, lines = summary.study, []
+    if summary.stopped:
+        reasons = Counter(stop.status for group in study.groups for stop in group.stopped)
+        causes = ", ".join(f"{words.STATUS_TEXTS.get(status, status)}: {n}" for status, n in reasons.items())
+        lines.append(
+            f"{_runs(summary.stopped)} stopped ({causes}) and {_are(summary.stopped)} in no number below."
+        )
+        lines += [f"  {line}" for line in stopped_lines(study)]
+    if summary.unfinished:
+        is_in = f"{_has(summary.unfinished)} not finished and {_are(summary.unfinished)}"
+        lines.append(f"{_runs(summary.unfinished)} {is_in} in no number below.")
+    if summary.missing:
+        lines.append(f"{_runs(summary.missing)} of the specification {_has(summary.missing)} no episode yet.")
+    if summary.unfinished or summary.missing:
+        lines.append("The same sweep again runs what is missing.")
+    specified = study.manifest.get("specification", {}).get("episodes")
+    if specified and study.episodes < specified:
+        lines.append(f"No run is complete: these are the first {study.episodes} of {specified} episodes.")
+    return lines
+
+
+def stopped_lines(study: Study, most: int = 8) -> list[str]:
+    """Where runs stopped, a line a group with at most `most` seeds."""
+    lines = []
+    for group in study.groups:
+        if group.stopped:
+            shown = [f"{stop.seed} (episode {stop.episode})" for stop in group.stopped[:most]]
+            rest = len(group.stopped) - len(shown)
+            seeds = ", ".join(shown) + (f" and {rest} more" if rest else "")
+            lines.append(f"{_name(group, study)}: seed {seeds}")
+    return lines
+
+
+def reading(summary: Summary) -> list[str]:
+    """How to read the results."""
+    lines = [
+        f"Final return: mean of a run's last {FINAL_EPISODES} episodes, interquartile mean over runs. "
+        "Area: mean return of an episode, mean over runs. In brackets: 95% bootstrap interval over seeds.",
+        f"To {CLOSED}: median first episode whose return closes {CLOSED} of the gap between idle (a = 0) and oracle; "
+        "never: runs without one. Corr.: corrections used, mean over runs. Oracle, idle: mean ± standard deviation.",
+    ]
+    if summary.study.varying:
+        lines.append(
+            "Of a grid each algorithm shows its point with the highest final return; tied: points not significantly "
+            "worse on the same seeds, that one included. All points are in summary.csv."
+        )
+    runs = max(group.runs for group in summary.study.groups)
+    if runs == 1:
+        lines.append("One run has no interval: give more seeds.")
+    elif 1 < runs < 10:
+        lines.append("A bootstrap over fewer than ten runs gives too narrow an interval: give more seeds.")
+    return lines
+
+
+def reading_differences() -> list[str]:
+    """How to read the differences."""
+    return [
+        "Differences: first minus second on the same seeds, mean and interval; * where that excludes zero."
+    ]
+
+
+def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> Sheet:
+    baseline, varying = study.oracle(oracle), study.varying if grid else ()
+    final = words.places([*(row.final.estimate for row in shown), baseline.mean])
+    area = words.places([row.area.estimate for row in shown])
+    corrections = words.places([row.corrections.estimate for row in shown])
+    columns = ("error", "algo", *(map(words.plain_symbol, varying)), *(("tied",) if grid else ()))
+    columns += ("final return", "area", f"to {CLOSED}", "never", "corr.", "runs")
+    rows = [
+        (
+            *_head(row.group, varying),
+            *(("best" if row.best else "tied" if row.tied else "",) if grid else ()),
+            words.interval(row.final, final),
+            words.interval(row.area, area),
+            words.number(row.closed.estimate, 0 if row.closed.estimate % 1 == 0 else 1),
+            words.ABSENT if math.isnan(row.closed.estimate) else str(row.never),
+            words.number(row.corrections.estimate, corrections),
+            str(row.group.runs),
+        )
+        for row in shown
+    ]
+    blocks = [row.group.error for row in shown] if len(study.algorithms) > 1 else [0.0] * len(shown)
+    for name, policy in (("oracle", baseline), ("idle", study.idle)):
+        if policy.n:
+            cells = dict.fromkeys(columns, "") | {"algo": name}
+            cells["final return"] = words.plus_minus(policy.mean, policy.std, final)
+            rows.append(tuple(cells.values()))
+    return Sheet(f"{study.env}, oracle {oracle}", columns, tuple(rows), _breaks(blocks))
+
+
+def _difference(difference: Difference, study: Study, decimals: int) -> tuple[str, ...]:
+    names = f"{words.algorithm(difference.first.algo)} - {words.algorithm(difference.second.algo)}"
+    values = (words.value(difference.point.get(name)) for name in study.varying)
+    star = " *" if difference.area.excludes_zero else "  "
+    interval = words.interval(difference.area, decimals) + star
+    return words.percent(difference.first.error), names, *values, interval, str(difference.pairs)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A sheet with two spaces between its columns, or one where the terminal is narrow."""
+
+    sheet: Sheet
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        wide = _table(self.sheet, gap=2)
+        needed = Measurement.get(console, options.update(max_width=1000), wide).maximum
+        yield wide if needed <= options.max_width else _table(self.sheet, gap=1)
+
+
+def _table(sheet: Sheet, gap: int) -> Table:
+    table = Table(
+        title=sheet.title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,  # it draws one space between columns
+        padding=(0, gap - 1, 0, 0),
+        show_edge=False,
+        pad_edge=False,
+    )
+    for column in sheet.columns:
+        table.add_column(column, justify="left" if column in WORD_COLUMNS else "right", no_wrap=True)
+    for index, row in enumerate(sheet.rows):
+        table.add_row(*map(Text, row), end_section=index in sheet.breaks)
+    return table
+
+
+def _oracles(summary: Summary) -> tuple[str, ...]:
+    return unique(group.oracle for group in summary.study.groups)
+
+
+def _head(group: Group, varying: Sequence[str]) -> tuple[str, ...]:
+    values = (words.value(group.point.get(name)) for name in varying)
+    return words.percent(group.error), words.algorithm(group.algo), *values
+
+
+def _symbols(study: Study) -> tuple[str, ...]:
+    return tuple(map(words.plain_symbol, study.varying))
+
+
+def _breaks(blocks: Sequence[float]) -> frozenset[int]:
+    last = len(blocks) - 1
+    return frozenset(i for i in range(len(blocks)) if i == last or blocks[i] != blocks[i + 1])
+
+
+def _name(group: Group, study: Study) -> str:
+    point = words.point(group)
+    oracle = f", oracle {group.oracle}" if len(study.oracles) > 1 else ""
+    return f"{words.algorithm(group.algo)}, {words.percent(group.error)} error{oracle}{', ' + point if point else ''}"
+
+
+def _runs(number: int) -> str:
+    return f"{number} run{'' if number == 1 else 's'}"
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
+
+
+def _has(number: int) -> str:
+    return "has" if number == 1 else "have"

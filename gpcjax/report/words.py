@@ -1,0 +1,94 @@
+"""How names and numbers are written in tables, figures and the HTML report."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gpcjax.learners.hyperparameters import HYPERPARAMETERS
+from gpcjax.report.groups import Group, Study
+from gpcjax.report.statistics import Interval
+
+ALGORITHM_LABELS = {"gpc": "GPC", "gpc-ns": "GPC-NS", "coach": "COACH"}
+ABSENT = "-"
+UNITS = {"cartpole": "steps upright", "pendulum": "negative cost"}
+STATUS_TEXTS = {"full": "dictionary full", "non-finite": "a number was not finite"}
+
+_SYMBOLS = {name: row.symbol for name, row in HYPERPARAMETERS.items()} | {"delta": "delta", "rate": "gamma"}
+_MEANINGS = {name: row.text for name, row in HYPERPARAMETERS.items()} | {
+    "delta": "distance from its target within which the teacher is silent",
+    "rate": "chance of advice at a step",
+}
+_GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "nu")
+
+
+def algorithm(name: str) -> str:
+    """As the thesis writes it."""
+    return ALGORITHM_LABELS.get(name, name)
+
+
+def percent(error: float) -> str:
+    """A chance: `12.5%`."""
+    return f"{100 * error:.6g}%"
+
+
+def plain_symbol(name: str) -> str:
+    """The thesis' symbol of a setting that varies, as text: `l_p`."""
+    return _SYMBOLS.get(name, name)
+
+
+def math_symbol(name: str) -> str:
+    """The same for matplotlib: `$l_p$`."""
+    symbol = _SYMBOLS.get(name)
+    if symbol is None:
+        return name
+    for letter in _GREEK:
+        symbol = symbol.replace(letter, "\\" + letter)
+    return f"${symbol}$"
+
+
+def meaning(name: str) -> str:
+    """What a setting that varies is, in words."""
+    return _MEANINGS.get(name, name.replace("_", " "))
+
+
+def point(group: Group) -> str:
+    """The settings of the group that vary: `l_p 0.1, l_h 0.2`, or nothing."""
+    return ", ".join(f"{plain_symbol(name)} {value:g}" for name, value in group.point.values)
+
+
+def value(setting: float | None) -> str:
+    """The value of a setting, if it has one."""
+    return ABSENT if setting is None else f"{setting:g}"
+
+
+def return_label(study: Study) -> str:
+    """What the return counts, with its unit where it has one."""
+    return f"return ({UNITS[study.env]})" if study.env in UNITS else "return"
+
+
+def places(values: Sequence[float]) -> int:
+    """Decimals with which the largest of `values` has three digits or more; one number for a whole column."""
+    finite = [abs(value) for value in values if np.isfinite(value)]
+    largest = max(finite, default=0.0)
+    return 0 if largest >= 100 or largest == 0 else 1 if largest >= 10 else 2 if largest >= 1 else 3
+
+
+def number(value: float, decimals: int) -> str:
+    """`value` with so many decimals; a dash for what does not exist, `never` for what did not happen."""
+    if np.isnan(value):
+        return ABSENT
+    if np.isinf(value):
+        return "never"
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+def interval(interval: Interval, decimals: int) -> str:
+    """`12.3 [11.9, 12.8]`; without bounds (one run) only the estimate."""
+    estimate, lower, upper = (number(value, decimals) for value in interval)
+    return estimate if ABSENT in (lower, upper) else f"{estimate} [{lower}, {upper}]"
+
+
+def plus_minus(mean: float, std: float, decimals: int) -> str:
+    """A mean and its standard deviation."""
+    return f"{number(mean, decimals)} ± {number(std, decimals)}"

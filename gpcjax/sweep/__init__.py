@@ -1,0 +1,1 @@
+"""Experiments as data: specification, plan, run, store."""

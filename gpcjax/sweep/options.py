@@ -1,0 +1,137 @@
+"""Every setting of a sweep in one table, from which flags, TOML keys, help and messages come. Loads no jax.
+
+`parse` reads the text of a flag, `accept` a value from TOML or Python. Both return checked values of one form (a
+tuple without repeats where a list is possible), or raise a `UserError` that begins with where the value stood.
+"""
+
+import numbers
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+from gpcjax.allowed import NON_NEGATIVE, Allowed, Anything, Numbers, OneOf, suggestion
+from gpcjax.envs.registry import default_episodes, env_names, expert_names
+from gpcjax.errors import UserError
+from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS, ON_FULL
+from gpcjax.learners.presets import SIZES
+
+LARGEST = 1_000_000
+"""Bound on seeds, episodes and the cells of one sweep: what is more is a slip of the finger."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One setting: `kind` is the type of one value; `many` says that a list of values makes more cells."""
+
+    name: str
+    kind: type
+    allowed: Allowed
+    text: str
+    default: Any = None
+    many: bool = False
+    algorithms: tuple[str, ...] = ALGORITHMS
+    otherwise: str = ""
+    """What holds if nobody gives a value, where that is not one `default`."""
+
+    @property
+    def flag(self) -> str:
+        """The option on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+
+_GP = tuple(name for name in ALGORITHMS if name != "coach")
+_PROBABILITY = Numbers(0, 1)
+_COUNT = Numbers(1, LARGEST, whole=True)
+_CAPACITY = Numbers(1, 16384, whole=True)
+_ORACLES = tuple(dict.fromkeys(expert for env in env_names() for expert in expert_names(env)))
+_EPISODES = ", ".join(f"{default_episodes(env)} for {env}" for env in env_names())
+
+EXPERIMENT = (
+    Option("env", str, OneOf(env_names()), "the task"),
+    Option("algo", str, OneOf(ALGORITHMS), "who learns", ALGORITHMS, many=True),
+    Option("error", float, _PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
+    Option("seeds", int, _COUNT, "how many: seeds 0 to n-1 of everything", 100),
+    Option("episodes", int, _COUNT, "episodes of each run", otherwise=_EPISODES),
+    Option("oracle", str, OneOf(_ORACLES), "whose actions the teacher aims at", ("gpc",), many=True),
+    Option("delta", float, NON_NEGATIVE, "the teacher is silent this near to its target", (0.05,), many=True),
+    Option("rate", float, _PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
+)
+VARIANTS = (
+    Option("sparsify", bool, Anything("true or false"), "SPARS (Alg. 3)", True, algorithms=_GP),
+    Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error", algorithms=_GP),
+    Option("max_capacity", int, _CAPACITY, "points in a dictionary at most", 1024, algorithms=_GP),
+)
+TUNING = tuple(
+    Option(row.name, float, row.allowed, f"{row.symbol}, {row.text}", many=True, algorithms=row.algorithms)
+    for row in HYPERPARAMETERS.values()
+)
+RUNNING = (
+    Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),
+    Option("jobs", int, Numbers(1, 1024, whole=True), "processes at once", otherwise="one for each core"),
+)
+OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VARIANTS + TUNING + RUNNING}
+
+
+def parse(option: Option, text: str, where: str) -> Any:
+    """The checked value of a flag's `text`, a comma list where the option takes many."""
+    words = [word.strip() for word in text.split(",")] if option.many else [text]
+    if "" in words:
+        raise UserError(f"{where} {shown(text)}: an empty value, give {option.allowed}")
+    return _checked(option, [_from_word(option, word, where) for word in words], where)
+
+
+def accept(option: Option, value: Any, where: str) -> Any:
+    """The checked form of a `value` from TOML or Python."""
+    if isinstance(value, os.PathLike):
+        value = os.fspath(value)
+    if option.kind is str and isinstance(value, str):
+        return parse(option, value, where)
+    if not option.many or isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+        return _checked(option, [value], where)
+    values = list(value)
+    if not values:
+        raise UserError(f"{where} []: the list is empty, give {option.allowed}")
+    return _checked(option, values, where)
+
+
+def shown(value: Any) -> str:
+    """`value` as it stands in a message: quoted if text, and never longer than a line should be."""
+    text = repr(value).removesuffix(".0")
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _from_word(option: Option, word: str, where: str) -> Any:
+    if option.kind is str:
+        return word
+    try:
+        return option.kind(word)
+    except ValueError:
+        _refuse(option, word, where)
+
+
+def _checked(option: Option, values: list[Any], where: str) -> Any:
+    checked = []
+    for value in values:
+        converted = _converted(option.kind, value)
+        if converted is None or not option.allowed.admits(converted):
+            _refuse(option, value, where)
+        checked.append(converted)
+    return tuple(dict.fromkeys(checked)) if option.many else checked[0]
+
+
+def _converted(kind: type, value: Any) -> Any:
+    """`value` as exactly `kind`, or None: no text for numbers, no fractions for integers, no 0 or 1 for switches."""
+    wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
+    if not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool):
+        return None
+    try:
+        return kind(value) + 0.0 if kind is float else kind(value)  # -0.0 becomes 0.0: one value, one cell
+    except OverflowError:
+        return None
+
+
+def _refuse(option: Option, value: Any, where: str) -> NoReturn:
+    choices = option.allowed.choices if isinstance(option.allowed, OneOf) and option.kind is str else ()
+    reason = "it cannot be swept yet, " if option.name == "env" and value in tuple(SIZES) else ""
+    raise UserError(f"{where} {shown(value)}: {reason}give {option.allowed}{suggestion(value, choices)}")

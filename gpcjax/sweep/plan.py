@@ -1,0 +1,109 @@
+"""From a specification to its cells, each a single run with one seed. Loads no jax."""
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpcjax.errors import UserError
+from gpcjax.learners.hyperparameters import HYPERPARAMETERS
+from gpcjax.sweep.options import LARGEST
+from gpcjax.sweep.spec import SweepSpec, as_dict
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run: what its rows depend on, and nothing else."""
+
+    env: str
+    algo: str
+    oracle: str
+    error: float
+    delta: float
+    rate: float
+    seed: int
+    episodes: int
+    hyperparameters: tuple[tuple[str, float], ...]
+    """Names and values, of those given only the ones that concern `algo`."""
+    sparsify: bool
+    on_full: str
+    max_capacity: int
+
+
+def plan(spec: SweepSpec) -> list[Cell]:
+    """All cells, each once, ordered by algo, oracle, hyperparameters, error, delta, rate, seed.
+
+    Raises:
+        UserError: there are more than a million.
+    """
+    count(spec)
+    return [
+        Cell(
+            env=spec.env,
+            algo=algo,
+            oracle=oracle,
+            error=error,
+            delta=delta,
+            rate=rate,
+            seed=seed,
+            episodes=spec.episodes,
+            hyperparameters=point,
+            sparsify=spec.sparsify,
+            on_full=spec.on_full,
+            max_capacity=spec.max_capacity,
+        )
+        for algo in spec.algo
+        for oracle, point, error, delta, rate, seed in itertools.product(
+            spec.oracle, _points(spec, algo), spec.error, spec.delta, spec.rate, range(spec.seeds)
+        )
+    ]
+
+
+def count(spec: SweepSpec) -> int:
+    """How many cells `plan` makes.
+
+    Raises:
+        UserError: more than a million.
+    """
+    each = spec.seeds * len(spec.oracle) * len(spec.error) * len(spec.delta) * len(spec.rate)
+    cells = sum(each * math.prod(map(len, _axes(spec, algo).values())) for algo in spec.algo)
+    if cells > LARGEST:
+        raise UserError(f"{cells:,} cells: give fewer seeds or values, {LARGEST:,} cells are allowed")
+    return cells
+
+
+def varying(spec: SweepSpec) -> list[str]:
+    """The columns that tell cells apart beside algo, oracle, error and seed: settings with more than one value."""
+    axes = {"delta": spec.delta, "rate": spec.rate, **spec.hyperparameters}
+    return [name for name, values in axes.items() if len(values) > 1]
+
+
+def specification_hash(spec: SweepSpec) -> str:
+    """Twelve hex digits that specifications share if they differ in the order of their lists alone."""
+    text = json.dumps(canonical(as_dict(spec)), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def default_out(spec: SweepSpec) -> Path:
+    """Where a sweep goes if nobody says."""
+    return Path("runs", f"{spec.env}-{specification_hash(spec)}")
+
+
+def canonical(value: object) -> object:
+    """JSON values with their lists sorted and without repeats."""
+    if isinstance(value, Mapping):
+        return {name: canonical(inner) for name, inner in value.items()}
+    return sorted({json.dumps(item) for item in value}) if isinstance(value, list) else value
+
+
+def _axes(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
+    named = spec.hyperparameters.items()
+    return {name: values for name, values in named if algo in HYPERPARAMETERS[name].algorithms}
+
+
+def _points(spec: SweepSpec, algo: str) -> list[tuple[tuple[str, float], ...]]:
+    axes = _axes(spec, algo)
+    return [tuple(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]

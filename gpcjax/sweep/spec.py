@@ -1,0 +1,131 @@
+"""What a sweep is: one frozen specification made from flags, a TOML file or Python. Loads no jax."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gpcjax.allowed import suggestion
+from gpcjax.envs.registry import default_episodes, expert_names
+from gpcjax.errors import UserError
+from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
+from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, accept, shown
+
+
+@dataclass(frozen=True)
+class SweepSpec:
+    """A sweep: every combination of the tuples, for each seed. `make_spec` and `spec_of` make a checked one."""
+
+    env: str
+    algo: tuple[str, ...]
+    """Learners, of `ALGORITHMS`."""
+    error: tuple[float, ...]
+    """Chances that an advice has the wrong sign."""
+    seeds: int
+    """How many: seeds 0 to seeds - 1."""
+    episodes: int
+    """Episodes of each run."""
+    oracle: tuple[str, ...]
+    """Experts of `env` whose actions the teacher aims at."""
+    delta: tuple[float, ...]
+    """Distances from the target within which the teacher is silent, in units of the action."""
+    rate: tuple[float, ...]
+    """Chances of advice at a step and action dimension."""
+    sparsify: bool
+    """SPARS (Alg. 3) on or off."""
+    on_full: str
+    """What a dictionary does that is full at `max_capacity`: one of `ON_FULL`."""
+    max_capacity: int
+    """Points in a dictionary at most."""
+    hyperparameters: Mapping[str, tuple[float, ...]] = field(hash=False)
+    """Values instead of the thesis' tables, by name; only those that were given."""
+
+
+class Given(NamedTuple):
+    """A checked value and where it stood, for messages: "--error", or "a.toml: error"."""
+
+    value: Any
+    where: str
+
+
+def read_toml(path: Path) -> dict[str, Given]:
+    """The settings of a TOML file, each checked alone.
+
+    Raises:
+        UserError: the file is missing, is not TOML, or has a key or value that is not allowed.
+    """
+    try:
+        with open(path, "rb") as file:
+            table = tomllib.load(file)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}): give a TOML file of settings") from None
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: this is not TOML: {error}") from None
+    except ValueError as error:  # the path has a null byte, or the file is not UTF-8
+        raise UserError(f"{path}: this is not a text file in UTF-8: {error}") from None
+    return _accepted(table, f"{path}: ")
+
+
+def spec_of(**settings: Any) -> SweepSpec:
+    """The specification with these settings, named as in TOML: `spec_of(env="cartpole", error=[0, 0.1], seeds=20)`.
+
+    Raises:
+        UserError: a name or value that is not allowed.
+    """
+    return make_spec(_accepted(settings, ""))
+
+
+def make_spec(given: Mapping[str, Given]) -> SweepSpec:
+    """The specification of settings: defaults filled in, and all that must fit together does.
+
+    `out` and `jobs` may be among the settings; they are no part of it.
+
+    Raises:
+        UserError: no env, an oracle that the env has not, or a setting that would change nothing.
+    """
+    if "env" not in given:
+        raise UserError(f"no env: give {OPTIONS['env'].allowed} (--env, or env = in the TOML file)")
+    value = {name: setting.value for name, setting in given.items()}
+    env, algo = value["env"], value.get("algo", ALGORITHMS)
+    for oracle in value.get("oracle", ()):
+        if oracle not in expert_names(env):
+            allowed = " or ".join(expert_names(env))
+            raise UserError(f"{given['oracle'].where} {shown(oracle)}: give {allowed} for {env}")
+    for name, setting in given.items():
+        concerned = OPTIONS[name].algorithms
+        if not set(concerned) & set(algo):
+            alone = f"with {' and '.join(algo)} alone it changes nothing"
+            raise UserError(f"{setting.where}: {alone}, give it with {' or '.join(concerned)}")
+    if "static_rate" in given and "constant_rate" in given:
+        where = given["constant_rate"].where
+        raise UserError(f"{where}: beside static_rate it changes nothing, give one of the two")
+    settings = {option.name: value.get(option.name, option.default) for option in EXPERIMENT + VARIANTS}
+    settings["episodes"] = value.get("episodes", default_episodes(env))
+    settings["hyperparameters"] = {name: value[name] for name in HYPERPARAMETERS if name in value}
+    return SweepSpec(**settings)
+
+
+def as_dict(spec: SweepSpec) -> dict[str, Any]:
+    """The specification as JSON has it: lists for tuples."""
+    return _lists(asdict(spec))
+
+
+def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given]:
+    """The settings of a table, each checked alone; dashes and underscores in a key are one."""
+    accepted: dict[str, Given] = {}
+    for key, value in table.items():
+        name, where = key.replace("-", "_"), f"{prefix}{key}"
+        if name not in OPTIONS:
+            near = suggestion(name, OPTIONS)
+            raise UserError(f"{prefix}{shown(key)} is no setting{near}: give {', '.join(OPTIONS)}")
+        if name in accepted:
+            raise UserError(f"{where} is given twice, with a dash and with an underscore: give it once")
+        accepted[name] = Given(accept(OPTIONS[name], value, where), where)
+    return accepted
+
+
+def _lists(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _lists(inner) for name, inner in value.items()}
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,43 @@
+"""What a teacher is: someone who may say "more" or "less" to the action that was just taken."""
+
+import abc
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+import gpcjax._x64  # noqa: F401
+
+
+class Teacher(eqx.Module):
+    """Gives advice on one step of one lane. Leaves and arguments may carry lanes as LAST axes.
+
+    A teacher draws one uniform number, a coin, for each step and action dimension, and everything random that it does
+    follows from it: with coins that depend on nothing but (seed, episode, step, dimension) the comparisons
+    between learners are paired, and steps at which the coin forbids advice need no further work.
+    """
+
+    @staticmethod
+    def coins(key: PRNGKeyArray, action_size: int) -> Float[Array, " action"]:
+        """The coins of one step, uniform in [0, 1). Consumes `key`."""
+        return jax.random.uniform(key, (action_size,))
+
+    @abc.abstractmethod
+    def may_advise(
+        self, coins: Float[Array, "action *lanes"], largest_sigma: Float[Array, "*lanes"]
+    ) -> Bool[Array, "action *lanes"]:
+        """Whether advice is possible at all with these coins, if sigma_h is at most `largest_sigma`."""
+
+    @abc.abstractmethod
+    def advise(
+        self,
+        coins: Float[Array, "action *lanes"],
+        action: Float[Array, "action *lanes"],
+        target: Float[Array, "action *lanes"],
+        sigma_human: Float[Array, "action *lanes"],
+    ) -> Float[Array, "action *lanes"]:
+        """h: -1, 0 or 1 for each action dimension.
+
+        `action` is what was executed, `target` what the teacher would have done; `sigma_human` is the learner's
+        uncertainty, read only by a teacher that is `active`.
+        """

@@ -1,0 +1,52 @@
+"""The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from gpcjax.teachers.base import Teacher
+
+
+class Oracle(Teacher):
+    """Advises towards a target action, at random times, sometimes in the wrong direction.
+
+    With coin u and chance gamma: advice is given where u < gamma, and it is inverted where u < gamma * e. That is Alg. 4
+    with one draw in place of its two.
+
+    Fields:
+        rate: gamma, or the least chance gamma_c of active learning.
+        error: e, the probability that given advice has the wrong sign.
+        delta: no advice where the action is within this of the target.
+        active_gain: c_a of (3.6): the chance grows by c_a * sigma_h.
+        active: whether the chance depends on sigma_h at all. Static.
+    """
+
+    rate: Float[Array, "*lanes"]
+    error: Float[Array, "*lanes"]
+    delta: Float[Array, "*lanes"]
+    active_gain: Float[Array, "*lanes"]
+    active: bool = eqx.field(static=True)
+
+    def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """gamma = c_a * sigma_h + gamma_c, at most 1."""
+        if not self.active:
+            return jnp.broadcast_to(self.rate, sigma_human.shape)
+        return jnp.minimum(self.active_gain * sigma_human + self.rate, 1.0)
+
+    def may_advise(
+        self, coins: Float[Array, "action *lanes"], largest_sigma: Float[Array, "*lanes"]
+    ) -> Bool[Array, "action *lanes"]:
+        return coins < self.chance(largest_sigma)[None]
+
+    def advise(
+        self,
+        coins: Float[Array, "action *lanes"],
+        action: Float[Array, "action *lanes"],
+        target: Float[Array, "action *lanes"],
+        sigma_human: Float[Array, "action *lanes"],
+    ) -> Float[Array, "action *lanes"]:
+        gamma = self.chance(sigma_human)
+        gap = target - action
+        sign = jnp.where(jnp.abs(gap) > self.delta, jnp.sign(gap), 0.0)
+        inverted = coins < gamma * self.error
+        return jnp.where(coins < gamma, jnp.where(inverted, -sign, sign), 0.0)

@@ -1,0 +1,16 @@
+"""Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
+
+import hypothesis
+import jax
+from jaxtyping import install_import_hook
+
+import tests.typechecker  # noqa: F401  (the hook finds it by name)
+
+install_import_hook("gpcjax", "tests.typechecker.check")
+
+jax.config.update("jax_debug_key_reuse", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# The same examples in every run: what is covered is no matter of luck.
+hypothesis.settings.register_profile("gpcjax", deadline=None, derandomize=True, database=None)
+hypothesis.settings.load_profile("gpcjax")

@@ -1,0 +1,87 @@
+"""What an import loads, seen from fresh processes: our own has loaded everything."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gpcjax
+
+ROOT = Path(gpcjax.__file__).parents[1]
+HEAVY = {
+    *("jax", "jaxlib", "equinox", "jaxtyping", "numpy", "scipy", "pandas", "pyarrow"),
+    *("brax", "mujoco", "gymnasium", "orbax", "optax", "matplotlib", "rich", "sklearn"),
+}
+
+
+def loaded(code):
+    """The top-level modules that a fresh process has after `code`."""
+    script = f"{code}\nimport json, sys\nprint(json.dumps(sorted({{name.partition('.')[0] for name in sys.modules}})))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gpcjax",
+        "import gpcjax; dir(gpcjax); gpcjax.__version__; hasattr(gpcjax, 'nothing')",
+        "import gpcjax.cli, gpcjax.sweep.plan, gpcjax.sweep.runfolder, gpcjax.envs.registry, gpcjax.learners.presets",
+    ],
+)
+def test_importing_loads_nothing_heavy(code):
+    assert not loaded(code) & HEAVY
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"],
+        ["sweep", "--help"],
+        ["grid", "--help"],
+        ["version"],
+        ["sweep", "--env", "cartpole", "--dry-run", "--out", "/tmp/there-is-none"],
+        ["sweep", "--env", "foo"],
+        ["sweep", "sweeps/none.toml"],
+        ["report", "/tmp/there-is-none"],
+    ],
+    ids=" ".join,
+)
+def test_the_command_line_loads_nothing_heavy_until_something_runs(words):
+    code = f"from gpcjax.cli import main\ntry:\n    main({words!r})\nexcept SystemExit:\n    pass"
+    assert not loaded(code) & HEAVY
+
+
+def test_the_first_name_switches_to_float64_and_starts_no_backend():
+    code = (
+        "import gpcjax\ngpcjax.make_learner\nimport jax\nassert jax.config.jax_enable_x64\n"
+        "from jax._src import xla_bridge\nassert not xla_bridge.backends_are_initialized()"
+    )
+    assert not loaded(code) & {"brax", "gymnasium", "matplotlib", "pandas"}
+
+
+def test_ten_public_names():
+    assert len(set(gpcjax.__all__)) == 10
+    assert set(gpcjax.__all__) == set(gpcjax._PUBLIC)
+    assert set(gpcjax.__all__) <= set(dir(gpcjax))
+
+
+@pytest.mark.parametrize("name", gpcjax.__all__)
+def test_a_public_name_is_a_documented_function(name):
+    function = getattr(gpcjax, name)
+    assert function is getattr(gpcjax, name)
+    assert function.__doc__
+
+
+def test_no_public_name_is_hidden_by_a_subpackage():
+    packages = {path.name.removesuffix(".py") for path in (ROOT / "gpcjax").iterdir()}
+    assert not packages & set(gpcjax.__all__)
+
+
+def test_an_unknown_name():
+    with pytest.raises(AttributeError, match="module 'gpcjax' has no attribute 'nothing'"):
+        gpcjax.nothing  # noqa: B018

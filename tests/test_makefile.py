@@ -1,0 +1,194 @@
+"""The Makefile with a recorder in the place of .venv: what it refuses, and which words reach the command line."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gpcjax.sweep.options import OPTIONS
+
+ROOT = Path(__file__).parents[1]
+VARIABLES = "ENV ERR ALGO SEEDS EPISODES ORACLE DELTA RATE LP LH OUT JOBS SPEC ARGS".split()
+RECORDER = """#!{python}
+import json, sys
+with open("called", "a") as file:
+    print(json.dumps(sys.argv[1:]), file=file)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A project that is set up already, with nothing but the Makefile in it."""
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    for name in ("requirements.lock", "pyproject.toml"):
+        (tmp_path / name).touch()
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(RECORDER.format(python=sys.executable))
+    python.chmod(0o755)
+    (tmp_path / ".venv" / ".ready").touch()
+    return tmp_path
+
+
+def make(folder, *words, **environment):
+    """Run make, without what an outer make has told us."""
+    outer = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES", "GNUMAKEFLAGS"}
+    clean = {name: value for name, value in os.environ.items() if name not in outer}
+    return subprocess.run(
+        ["make", *words], cwd=folder, env=clean | environment, capture_output=True, text=True
+    )
+
+
+def called(folder):
+    """The words of each call of .venv's python."""
+    path = folder / "called"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def test_sweep_is_a_thin_line(folder):
+    assert make(folder, "sweep", "ENV=cartpole", "ERR=0,0.1,0.2").returncode == 0
+    assert called(folder) == [["-m", "gpcjax", "sweep", "--env=cartpole", "--error=0,0.1,0.2"]]
+
+
+def test_every_variable_becomes_its_flag(folder):
+    given = [f"{name}={name.lower()}" for name in VARIABLES if name not in ("SPEC", "ARGS")]
+    assert make(folder, "grid", *given, "SPEC=a.toml", "ARGS=--beta 1,2 --no-sparsify").returncode == 0
+    words = called(folder)[0]
+    assert words[:4] == ["-m", "gpcjax", "grid", "a.toml"]
+    assert words[-3:] == ["--beta", "1,2", "--no-sparsify"]
+    flags = dict(word[2:].split("=") for word in words[4:-3])
+    assert {"policy-length-scale": "lp", "human-length-scale": "lh", "error": "err"}.items() <= flags.items()
+    assert all(name.replace("-", "_") in OPTIONS for name in flags)
+    assert len(flags) == len(VARIABLES) - 2
+
+
+def test_other_targets(folder):
+    assert make(folder, "report", "OUT=runs/my run").returncode == 0
+    assert make(folder, "oracles").returncode == 0
+    assert make(folder, "oracles", "ENV=pendulum").returncode == 0
+    assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
+    assert called(folder) == [
+        ["-m", "gpcjax", "report", "--", "runs/my run"],
+        ["-m", "gpcjax", "oracles"],
+        ["-m", "gpcjax", "oracles", "--env=pendulum"],
+        ["-m", "pytest", "-n", "2", "-k", "two words"],
+    ]
+
+
+@pytest.mark.parametrize(
+    "value", ["it's", "a b", "$HOME", "$(touch bad)", "`touch bad`", "a; touch bad", '"', "*", ""]
+)
+def test_a_value_is_one_word_whatever_it_holds(folder, value):
+    assert make(folder, "sweep", f"OUT={value}").returncode == 0
+    assert called(folder) == [["-m", "gpcjax", "sweep", f"--out={value}"]]
+    assert not (folder / "bad").exists()
+
+
+def test_a_line_break_starts_no_command(folder):
+    assert make(folder, "sweep", "OUT=a\ntouch bad").returncode == 0
+    assert called(folder) == [["-m", "gpcjax", "sweep", "--out=a touch bad"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["sweep", "EVN=cartpole"], "EVN"),
+        (["sweep", "ENV=cartpole", "err=0"], "err"),
+        (["EVN=cartpole"], "EVN"),
+        (["report", "ERR=0"], "ERR"),
+        (["test", "OUT=a"], "OUT"),
+        (["lint", "ARGS=a"], "ARGS"),
+    ],
+)
+def test_an_unknown_variable_is_refused_before_anything_is_set_up(folder, words, name):
+    shutil.rmtree(folder / ".venv")
+    done = make(folder, *words)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert f"'{name}' is no variable of make" in done.stderr
+    assert "PYTHON" in done.stderr
+    assert not (folder / ".venv").exists()
+
+
+def test_the_environment_is_not_asked(folder):
+    assert (
+        make(folder, "sweep", "ENV=cartpole", OUT="a", ERR="1", SPEC="b", ARGS="c", JOBS="3").returncode == 0
+    )
+    assert called(folder) == [["-m", "gpcjax", "sweep", "--env=cartpole"]]
+
+
+def test_help_lists_every_target_and_variable(folder):
+    listed = make(folder)
+    assert listed.stdout == make(folder, "help").stdout
+    for target in "help sweep grid report oracles bench test lint format lock clean".split():
+        assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)
+    for name in [*VARIABLES, "PYTHON"]:
+        assert re.search(rf"^  (\w+, )?{name}\b", listed.stdout, re.MULTILINE)
+    assert not called(folder)
+
+
+def test_help_tells_the_defaults_of_the_command_line():
+    text = (ROOT / "Makefile").read_text()
+    pairs = [
+        pair.split(":") for pair in re.search(r"FLAGS := ((?:.*\\\n)*.*)", text)[1].replace("\\", "").split()
+    ]
+    assert {variable for variable, _ in pairs} == set(VARIABLES) - {"SPEC", "ARGS"}
+    for variable, flag in pairs:
+        option = OPTIONS[flag.replace("-", "_")]
+        line = re.search(rf"^#:   (?:\w+, )?{variable}\b.*$", text, re.MULTILINE)[0]
+        if option.otherwise:
+            assert f"({option.otherwise})".replace(", ", " and ") in line.replace(", ", " and ")
+        elif option.default is not None and variable != "ALGO":
+            value = option.default[0] if isinstance(option.default, tuple) else option.default
+            assert f"({str(value).removesuffix('.0')})" in line
+
+
+def fake_python(folder, code):
+    """A python3 for PYTHON= that prints how it was called, after `code`."""
+    path = folder / "python"
+    path.write_text(f'#!/bin/sh\n{code}\necho "python $*"\n')
+    path.chmod(0o755)
+    return f"PYTHON={path}"
+
+
+def test_an_old_python_or_one_without_venv_is_refused_in_one_sentence(folder):
+    shutil.rmtree(folder / ".venv")
+    done = make(
+        folder, "sweep", "ENV=cartpole", fake_python(folder, "echo No module named ensurepip >&2; exit 1")
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("gpcjax needs Python 3.11 or newer with venv and pip")
+    assert "No module" not in done.stderr
+
+
+def test_a_mistake_in_a_sweep_is_told_before_the_setting_up(folder):
+    shutil.rmtree(folder / ".venv")
+    done = make(folder, "sweep", "ENV=foo", fake_python(folder, 'case "$*" in *--dry-run*) exit 2;; esac'))
+    assert done.returncode == 2
+    assert "setting up" not in done.stdout
+    assert not (folder / ".venv").exists()
+
+
+@pytest.mark.parametrize("change", ["nothing", "requirements.lock", "pyproject.toml", ".venv/bin/python"])
+def test_what_sets_up_again(folder, change):
+    assert make(folder, "sweep").returncode == 0
+    if change == ".venv/bin/python":
+        (folder / change).unlink()
+    elif change != "nothing":
+        os.utime(folder / change, (2**31, 2**31))
+    done = make(folder, "-n", "sweep")
+    assert ("setting up" in done.stdout) == (change != "nothing")
+
+
+def test_set_up_needs_no_index_address():
+    lock = (ROOT / "requirements.lock").read_text()
+    assert lock.startswith("# This file was autogenerated by uv via the following command:\n#    make lock\n")
+    assert not re.search(r"https?:|file:|--index|--find-links|--extra", lock)
+    pins = re.findall(r"^[\w.-]+==\S+.*\\$", lock, re.MULTILINE)
+    assert len(pins) > 50
+    assert lock.count("--hash=sha256:") >= len(pins)
