@@ -76,7 +76,7 @@ test: $(READY) ## run every test
 
 lint: $(READY) ## check style, types and the direction of imports
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
-	.venv/bin/basedpyright && .venv/bin/lint-imports
+	.venv/bin/basedpyright && .venv/bin/lint-imports --no-logo
 
 format: $(READY) ## write the code in its one style
 	.venv/bin/ruff check --fix . && .venv/bin/ruff format .

@@ -13,11 +13,11 @@ _PUBLIC = {
     "draw_report": "gpcjax.report.run:draw",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
     "load": "gpcjax.sweep.store:load",
-    "load_policy": "gpcjax.learners.saved:load_policy",
+    "load_policy": "gpcjax.policies.saved:load_policy",
     "make_env": "gpcjax.envs.registry:make_env",
     "make_expert": "gpcjax.envs.registry:make_expert",
     "make_learner": "gpcjax.learners.factory:make_learner",
-    "make_oracle": "gpcjax.teachers.factory:make_oracle",
+    "make_oracle": "gpcjax.sweep.build:make_oracle",
     "run_sweep": "gpcjax.sweep.run:sweep",
     "save_policy": "gpcjax.learners.saved:save_policy",
 }
@@ -40,11 +40,12 @@ if TYPE_CHECKING:
     from gpcjax.engine.evaluate import evaluate
     from gpcjax.envs.registry import make_env, make_expert
     from gpcjax.learners.factory import make_learner
-    from gpcjax.learners.saved import load_policy, save_policy
+    from gpcjax.learners.saved import save_policy
+    from gpcjax.policies.saved import load_policy
     from gpcjax.report.run import draw as draw_report
+    from gpcjax.sweep.build import make_oracle
     from gpcjax.sweep.run import sweep as run_sweep
     from gpcjax.sweep.store import load
-    from gpcjax.teachers.factory import make_oracle
 
 
 def __getattr__(name: str) -> Any:

@@ -17,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 from gpcjax.engine import streams
 from gpcjax.envs.base import Env
 from gpcjax.envs.base import State as EnvState
-from gpcjax.learners.base import Controller, Learner
+from gpcjax.learners.base import Learner
+from gpcjax.policies.base import Controller
 from gpcjax.teachers.base import Teacher
 
 LOGGED_CORRECTIONS = 200

@@ -79,9 +79,7 @@ class Counters:
     """What a pool has done so far."""
 
     env_steps: int = 0
-    """In finished lanes."""
-    running_steps: int = 0
-    """In lanes that still run, at the last look."""
+    episodes: int = 0
     compile_seconds: float = 0.0
     compilations: int = 0
     chunks: int = 0
@@ -104,8 +102,13 @@ class Pool:
         self._learner_shape = template.learner
         self._blocks = [_Block(self, tier, expert, template, last=tier is tiers[-1]) for tier in tiers]
 
-    def run(self, next_start: Callable[[], Start | None], deliver: Callable[[Finished], None]) -> None:
-        """Runs starts until `next_start` has no more and all have been delivered."""
+    def run(
+        self,
+        next_start: Callable[[], Start | None],
+        deliver: Callable[[Finished], None],
+        look: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Runs starts until `next_start` has no more and all have been delivered; calls `look` after every chunk."""
         blocks, exhausted = self._blocks, False
         while True:
             index = self._choose(exhausted)
@@ -130,9 +133,8 @@ class Pool:
                     self.counters.promotions += 1
                     blocks[index + 1].waiting.append((name, lane))
                 else:
-                    self.counters.env_steps += int(lane.rows.length.sum())
                     deliver(Finished(name, lane))
-            self.counters.running_steps = sum(block.steps for block in blocks)
+            look()
 
     def _choose(self, exhausted: bool) -> int | None:
         """The largest tier that can be filled; else the smallest with any work, so that larger ones fill up."""
@@ -154,7 +156,6 @@ class _Block:
         """Name of the run in each occupied place."""
         self.waiting: deque[tuple[Any, Lane]] = deque()
         """Lanes of the smaller tier that need this one."""
-        self.steps = 0
         self._pool, self._template = pool, template
         self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last)
         self._lanes: Lane | None = None
@@ -191,10 +192,14 @@ class _Block:
     def chunk(self) -> list[tuple[Any, Lane]]:
         """Advances all lanes for a while; gives those that leave, with their names."""
         assert self._lanes is not None
+        before = self._work_done()
         began = time.perf_counter()
         compiling = self._pool.counters.compile_seconds
         self._lanes = self._call("advance", lambda block, rounds: self._loop.advance(block, rounds), np.int32(self._rounds))
         phases = np.array(self._lanes.phase)
+        after = self._work_done()
+        self._pool.counters.env_steps += after[0] - before[0]
+        self._pool.counters.episodes += after[1] - before[1]
         elapsed = time.perf_counter() - began - (self._pool.counters.compile_seconds - compiling)
         self._rounds = int(np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds))
         self._rounds = max(self._rounds, 4)
@@ -204,10 +209,15 @@ class _Block:
         if leaving:
             phases[leaving] = Phase.EMPTY
             self._lanes = dataclasses.replace(self._lanes, phase=jnp.asarray(phases))
-        occupied = list(self.names)
-        steps = np.asarray(self._lanes.rows.length).sum(0) + np.asarray(self._lanes.env.time)
-        self.steps = int(steps[occupied].sum())
         return result
+
+    def _work_done(self) -> tuple[int, int]:
+        """Steps and episodes of the lanes in the block."""
+        assert self._lanes is not None
+        occupied, episode = list(self.names), np.asarray(self._lanes.episode)
+        unwritten = np.where(episode < self._loop.episodes, np.asarray(self._lanes.env.time), 0)
+        steps = np.asarray(self._lanes.rows.length).sum(0) + unwritten
+        return int(steps[occupied].sum()), int(episode[occupied].sum())
 
     def _sized(self, lane: Lane) -> Lane:
         """The lane with this tier's room."""

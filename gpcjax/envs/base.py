@@ -8,7 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar, ScalarLike
 
-import gpcjax._x64  # noqa: F401
+from gpcjax.policies.base import ByIdentity
 
 
 class State(eqx.Module):
@@ -35,16 +35,6 @@ class State(eqx.Module):
     def done(self) -> Bool[Array, " *lanes"]:
         """The episode is over, for either reason."""
         return self.terminated | self.truncated
-
-
-class ByIdentity(eqx.Module):
-    """A module hashed and compared as an object, so that `jax.jit(env.step)` works though arrays have no hash."""
-
-    def __hash__(self) -> int:
-        return id(self)
-
-    def __eq__(self, other: object) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self is other
 
 
 class Env(ByIdentity):

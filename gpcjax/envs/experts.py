@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gpcjax.envs.base import ByIdentity, parameter
+from gpcjax.envs.base import parameter
+from gpcjax.policies.base import ByIdentity
 from gpcjax.envs.cartpole import CartPole
 
 

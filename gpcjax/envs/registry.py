@@ -36,7 +36,7 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
             target="gpcjax.envs.cartpole:CartPole",
             experts=MappingProxyType(
                 {
-                    "gpc": ("gpcjax.envs.saved:shipped_policy", "cartpole"),
+                    "gpc": ("gpcjax.policies.saved:load_shipped", "cartpole"),
                     "lqr": ("gpcjax.envs.experts:LQR",),
                 }
             ),
@@ -46,7 +46,7 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
             target="gpcjax.envs.pendulum:Pendulum",
             experts=MappingProxyType(
                 {
-                    "gpc": ("gpcjax.envs.saved:shipped_policy", "pendulum"),
+                    "gpc": ("gpcjax.policies.saved:load_shipped", "pendulum"),
                     "energy": ("gpcjax.envs.experts:EnergySwingUp",),
                 }
             ),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree, Real
 
-import gpcjax._x64  # noqa: F401
+from gpcjax.policies.base import ByIdentity, Controller
 
 State = PyTree
 
@@ -55,19 +55,7 @@ class Info(eqx.Module):
     """A `Status`."""
 
 
-class Controller(eqx.Module):
-    """The policy of one state, with all that does not change between corrections computed beforehand.
-
-    Leaves and observations may carry further axes at the END (lanes): the engine keeps lanes last, where the
-    arithmetic vectorises best.
-    """
-
-    @abc.abstractmethod
-    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
-        """The action before it is clipped to [-1, 1]."""
-
-
-class Learner(eqx.Module):
+class Learner(ByIdentity):
     """Learns a policy from advice.
 
     Methods are pure, compile themselves when they are called directly, and may be used inside jit, vmap and scan.

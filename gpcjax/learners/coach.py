@@ -1,9 +1,5 @@
 """COACH, the baseline: linear policies on normalised radial basis functions, Alg. 1 of the thesis.
 
-The features (2.4) are Gaussians of one width on a regular grid, normalised to sum to one. They are therefore a product of one
-soft assignment for each observation dimension, and are kept that way: a grid of 4 x 4 x 4 x 4 costs 16 exponentials,
-and an observation far outside the grid still has features that sum to one.
-
 | thesis | here |
 |---|---|
 | theta, psi | `COACHState.policy`, `COACHState.human` |
@@ -17,34 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.learners.base import Controller, Info, Learner, Status
-
-
-class Grid(eqx.Module):
-    """Centres of the basis functions: `counts[i]` points from `lower[i]` to `upper[i]`; the spacing is the width."""
-
-    lower: Float[Array, "obs *lanes"]
-    upper: Float[Array, "obs *lanes"]
-    counts: tuple[int, ...] = eqx.field(static=True)
-
-    def memberships(self, obs: Float[Array, "obs *lanes"]) -> list[Float[Array, "count *lanes"]]:
-        """For each observation dimension the normalised features along it; their outer product is phi."""
-        result = []
-        for i, count in enumerate(self.counts):
-            spacing = (self.upper[i] - self.lower[i]) / (count - 1)
-            steps = jnp.arange(count, dtype=obs.dtype).reshape(count, *[1] * (obs.ndim - 1))
-            distance = (obs[i] - self.lower[i])[None] / spacing[None] - steps
-            exponent = -0.5 * distance * distance
-            values = jnp.exp(exponent - exponent.max(0, keepdims=True))
-            result.append(values / values.sum(0, keepdims=True))
-        return result
-
-    def features(self, obs: Float[Array, " obs"]) -> Float[Array, "*grid"]:
-        """phi(s), of the grid's shape, summing to one."""
-        product = jnp.ones(())
-        for values in self.memberships(obs):
-            product = product[..., None] * values.reshape((1,) * product.ndim + (-1,))
-        return product
+from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.policies.grid import Grid, GridController
 
 
 class COACHState(eqx.Module):
@@ -52,20 +22,6 @@ class COACHState(eqx.Module):
 
     policy: Float[Array, "action *grid"]
     human: Float[Array, "action *grid"]
-
-
-class GridController(Controller):
-    """theta . phi(s), contracted one observation dimension at a time."""
-
-    weights: Float[Array, "action *grid_and_lanes"]
-    grid: Grid
-
-    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
-        total = self.weights
-        for values in self.grid.memberships(obs):
-            inner = total.ndim - 1 - values.ndim
-            total = (total * values.reshape(1, values.shape[0], *[1] * inner, *values.shape[1:])).sum(1)
-        return total
 
 
 class COACH(Learner):

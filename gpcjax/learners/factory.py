@@ -10,9 +10,11 @@ import numpy as np
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess
 from gpcjax.learners.base import Learner
-from gpcjax.learners.coach import COACH, Grid
-from gpcjax.learners.gpc import GPC, ON_FULL
+from gpcjax.learners.coach import COACH
+from gpcjax.learners.gpc import GPC
+from gpcjax.learners.hyperparameters import ON_FULL
 from gpcjax.learners.presets import PRESETS, SIZES
+from gpcjax.policies.grid import Grid
 
 DEFAULT_CAPACITY = 512
 DEFAULT_NOISE = 1e-7

@@ -18,13 +18,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.kernels import correlation
 from gpcjax.gp.regression import GaussianProcess, Posterior
-from gpcjax.learners.base import Controller, Info, Learner, Status
+from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.policies.kernel import KernelController
 
-ON_FULL = ("error", "replace-nearest", "drop")
-"""What a full dictionary does: refuse the correction with `Status.FULL`; let the new point take the place of the one with the
-largest covariance; or leave the full dictionary as it is while the other model learns."""
 
 
 class GPCState(eqx.Module):
@@ -32,23 +29,6 @@ class GPCState(eqx.Module):
 
     policy: Posterior
     human: Posterior
-
-
-class GPController(Controller):
-    """Weighted kernel sums over the policies' dictionaries: k(s) . alpha (2.9)."""
-
-    points: Float[Array, "action n obs *lanes"]
-    """Dictionary inputs, scaled and divided by the length-scale."""
-    weights: Float[Array, "action n *lanes"]
-    """c * alpha, zero on unused rows."""
-    scale: Float[Array, "action obs *lanes"]
-    """What an observation is multiplied by to stand among `points`."""
-    smoothness: float = eqx.field(static=True)
-
-    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
-        difference = self.points - (obs[None] * self.scale)[:, None]
-        squared = (difference * difference).sum(2)
-        return (correlation(squared, self.smoothness) * self.weights).sum(1)
 
 
 class GPC(Learner):
@@ -87,11 +67,11 @@ class GPC(Learner):
             human=jax.vmap(lambda posterior: self.human.grow(posterior, human_capacity))(state.human),
         )
 
-    def controller(self, state: GPCState) -> GPController:
+    def controller(self, state: GPCState) -> KernelController:
         """The policy of `state`, ready for many steps."""
         kernel = self.policy.kernel
         scale = state.policy.scale * kernel.inverse_length
-        return GPController(
+        return KernelController(
             points=state.policy.points * scale[:, None],
             weights=kernel.variance * state.policy.weights,
             scale=scale,

@@ -177,7 +177,14 @@ def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
 
 def _marker(colour: str, row: Row) -> dict[str, Any]:
     if row.best:
-        return {"marker": "*", "markersize": 9, "color": colour, "markeredgecolor": "white", "clip_on": False}
+        return {
+            "marker": "*",
+            "markersize": 10,
+            "color": colour,
+            "markeredgecolor": "white",
+            "markeredgewidth": 0.5,
+            "clip_on": False,
+        }
     return {
         "marker": "o",
         "markersize": 4,

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import HYPERPARAMETERS
@@ -31,6 +32,38 @@ class Cell:
     sparsify: bool
     on_full: str
     max_capacity: int
+
+
+class Program(NamedTuple):
+    """What the cells of one pool have in common: everything that is compiled in."""
+
+    env: str
+    algo: str
+    oracle: str
+    episodes: int
+    sparsify: bool
+    on_full: str
+    max_capacity: int
+    policy_nu: float | None
+    static_rate: bool
+    active: bool
+
+
+def program_of(cell: Cell) -> Program:
+    """The program that runs `cell`: cells that differ in numbers alone share one."""
+    values = dict(cell.hyperparameters)
+    return Program(
+        env=cell.env,
+        algo=cell.algo,
+        oracle=cell.oracle,
+        episodes=cell.episodes,
+        sparsify=cell.sparsify,
+        on_full=cell.on_full,
+        max_capacity=cell.max_capacity,
+        policy_nu=values.get("policy_nu"),
+        static_rate="static_rate" in values,
+        active=values.get("active_gain", 0.0) > 0.0,
+    )
 
 
 def plan(spec: SweepSpec) -> list[Cell]:

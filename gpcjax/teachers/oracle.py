@@ -1,9 +1,12 @@
 """The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, Real
 
+from gpcjax.policies.base import ByIdentity
 from gpcjax.teachers.base import Teacher
 
 
@@ -50,3 +53,39 @@ class Oracle(Teacher):
         sign = jnp.where(jnp.abs(gap) > self.delta, jnp.sign(gap), 0.0)
         inverted = coins < gamma * self.error
         return jnp.where(coins < gamma, jnp.where(inverted, -sign, sign), 0.0)
+
+
+class Advisor(ByIdentity):
+    """An oracle that knows its task: it works out the target by itself.
+
+    Fields:
+        expert: what it would do, obs (obs_size,) -> action (action_size,) in [-1, 1].
+        oracle: when and how it advises.
+    """
+
+    expert: Callable[[Float[Array, " obs"]], Float[Array, " action"]]
+    oracle: Oracle
+
+    def target(self, obs: Real[ArrayLike, " obs"]) -> Float[Array, " action"]:
+        """The expert's action at `obs`."""
+        return self.expert(jnp.asarray(obs, float))
+
+    def advise(
+        self,
+        key: PRNGKeyArray,
+        obs: Real[ArrayLike, " obs"],
+        action: Real[ArrayLike, " action"],
+        sigma_human: Real[ArrayLike, " action"] | None = None,
+    ) -> Float[Array, " action"]:
+        """h (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
+
+        Raises:
+            ValueError: active learning needs `sigma_human`, from `Learner.uncertainty`.
+        """
+        action = jnp.asarray(action, float)
+        if sigma_human is None:
+            if self.oracle.active:
+                raise ValueError("this oracle learns actively: give sigma_human, from learner.uncertainty")
+            sigma_human = jnp.zeros_like(action)
+        coins = self.oracle.coins(key, action.shape[0])
+        return self.oracle.advise(coins, action, self.target(obs), jnp.asarray(sigma_human, float))

@@ -1,5 +1,6 @@
 import math
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,6 +102,11 @@ def test_toml_gives_what_python_gives(tmp_path):
         sparsify=False,
         on_full="drop",
     )
+
+
+def test_the_shipped_sweeps_are_valid():
+    paths = sorted((Path(__file__).parents[2] / "sweeps").glob("*.toml"))
+    assert [make_spec(read_toml(path)).env for path in paths] == ["pendulum", "cartpole"]
 
 
 def test_as_dict_is_json():

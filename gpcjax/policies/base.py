@@ -1,0 +1,40 @@
+"""What acts: a controller, and the policy that clips it."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+import gpcjax._x64  # noqa: F401
+
+
+class ByIdentity(eqx.Module):
+    """A module hashed and compared as an object, so that `jax.jit(env.step)` works though arrays have no hash."""
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self is other
+
+
+class Controller(eqx.Module):
+    """A policy with all that does not change between corrections computed beforehand.
+
+    Leaves and observations may carry further axes at the END (lanes): the engine keeps lanes last, where the
+    arithmetic vectorises best.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        """The action before it is clipped to [-1, 1]."""
+
+
+class Policy(ByIdentity):
+    """A controller as a function of the observation, (obs_size,) -> (action_size,) in [-1, 1]."""
+
+    controller: Controller
+
+    def __call__(self, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+        return jnp.clip(self.controller(obs), -1.0, 1.0)

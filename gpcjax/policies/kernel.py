@@ -1,0 +1,24 @@
+"""The policy of a Gaussian process: its predictive mean."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from gpcjax.gp.kernels import correlation
+from gpcjax.policies.base import Controller
+
+
+class KernelController(Controller):
+    """Weighted kernel sums over one dictionary for each action dimension: k(s) . alpha (2.9)."""
+
+    points: Float[Array, "action n obs *lanes"]
+    """Dictionary inputs, scaled and divided by the length-scale."""
+    weights: Float[Array, "action n *lanes"]
+    """c * alpha, zero on unused rows."""
+    scale: Float[Array, "action obs *lanes"]
+    """What an observation is multiplied by to stand among `points`."""
+    smoothness: float = eqx.field(static=True)
+
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        difference = self.points - (obs[None] * self.scale)[:, None]
+        squared = (difference * difference).sum(2)
+        return (correlation(squared, self.smoothness) * self.weights).sum(1)

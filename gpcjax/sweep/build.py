@@ -1,0 +1,99 @@
+"""Where names become objects: learners, teachers and pools for the cells of a sweep."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from gpcjax.allowed import NON_NEGATIVE, Numbers
+from gpcjax.engine.pool import Pool, Start, Tier, tiers
+from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.learners.base import Learner
+from gpcjax.learners.factory import make_learner
+from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.teachers.oracle import Advisor, Oracle
+
+COACH_LANES = 64
+"""Width of the one block that COACH needs: it has no dictionary."""
+
+_TEACHING = ("active_gain",)
+"""Hyperparameters of the teacher, not of the learner."""
+
+
+def start_of(cell: Cell) -> Start:
+    """The lane of a cell: its numbers, on the host."""
+    values = dict(cell.hyperparameters)
+    options: dict[str, Any] = {name: value for name, value in values.items() if name not in _TEACHING}
+    if cell.algo != "coach":
+        first = _tiers(program_of(cell))[0]
+        options |= {
+            "policy_capacity": first.policy_capacity,
+            "human_capacity": first.human_capacity,
+            "sparsify": cell.sparsify,
+            "on_full": cell.on_full,
+        }
+    learner: Learner = make_learner(cell.algo, cell.env, **options)
+    gain = values.get("active_gain", 0.0)
+    return Start(
+        name=cell,
+        learner=jax.tree.map(np.asarray, learner),
+        teacher=_oracle(cell.rate, cell.error, cell.delta, gain),
+        seed=cell.seed,
+    )
+
+
+def make_pool(cell: Cell) -> Pool:
+    """A pool for all cells of the program of `cell`."""
+    program = program_of(cell)
+    return Pool(
+        env=make_env(program.env),
+        expert=make_expert(program.env, program.oracle),
+        episodes=program.episodes,
+        template=start_of(cell),
+        tiers=_tiers(program),
+    )
+
+
+def make_oracle(
+    env_name: str,
+    expert_name: str = "gpc",
+    *,
+    rate: float = 0.05,
+    error: float = 0.0,
+    delta: float = 0.05,
+    active_gain: float = 0.0,
+) -> Advisor:
+    """The synthesised teacher (Alg. 4) of a task.
+
+    Args:
+        env_name: "cartpole" or "pendulum".
+        expert_name: whose actions it aims at: "gpc", or "lqr" (cart-pole), "energy" (pendulum).
+        rate: gamma, its chance of advice at a step and action dimension; the least chance if `active_gain` is given.
+        error: e, the chance that an advice has the wrong sign.
+        delta: it is silent this near to its target, in units of the action.
+        active_gain: c_a of (3.6); 0 is no active learning.
+
+    Raises:
+        ValueError: an unknown name, or a number out of range.
+    """
+    expert = make_expert(env_name, expert_name)
+    probability = Numbers(0, 1)
+    for name, value, allowed in (
+        ("rate", rate, probability),
+        ("error", error, probability),
+        ("delta", delta, NON_NEGATIVE),
+        ("active_gain", active_gain, NON_NEGATIVE),
+    ):
+        if not allowed.admits(float(value)):
+            raise ValueError(f"{name} {value!r}: give {allowed}")
+    return Advisor(expert=expert, oracle=_oracle(rate, error, delta, active_gain))
+
+
+def _oracle(rate: float, error: float, delta: float, active_gain: float) -> Oracle:
+    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    return Oracle(**{name: np.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+
+
+def _tiers(program: Program) -> Sequence[Tier]:
+    return (Tier(1, 1, COACH_LANES),) if program.algo == "coach" else tiers(program.max_capacity)

@@ -1,0 +1,133 @@
+"""A process that runs cells: it asks for programs and cells over a connection, and sends rows back.
+
+Started by `gpcjax.sweep.executors` as `python -m gpcjax.sweep.worker DESCRIPTOR`. It computes on one thread, whatever
+the number of processes: XLA's arithmetic may depend on how it splits work, and jaxlib's batched Cholesky can wait
+for ever on a pool of several threads.
+
+Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Progress),
+("baseline", name, numbers), ("failed", text). Answers: ("program", Cell), ("cells", list of Cell, empty if there are no
+more), ("baseline", env, name), ("stop",).
+"""
+
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import deque
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+import numpy as np
+
+from gpcjax.engine.evaluate import evaluate, idle
+from gpcjax.engine.lanes import Lane
+from gpcjax.engine.pool import Finished, Pool, Start
+from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.learners.base import Status
+from gpcjax.sweep.build import make_pool, start_of
+from gpcjax.sweep.plan import Cell
+from gpcjax.sweep.store import CellRows
+
+REPORT_SECONDS = 0.25
+BASELINE_STARTS = 100
+
+
+class Progress(NamedTuple):
+    """What a worker has done since it began."""
+
+    env_steps: int
+    episodes: int
+    compile_seconds: float
+    compilations: int
+
+
+class Worker:
+    """One connection's work."""
+
+    def __init__(self, connection: Connection):
+        self._connection = connection
+        self._done = Progress(0, 0, 0.0, 0)
+        self._reported = 0.0
+
+    def run(self) -> None:
+        """Serves until the parent says stop."""
+        while True:
+            match self._ask("ready"):
+                case ("program", Cell() as cell):
+                    self._teach(cell)
+                case ("baseline", str() as env, str() as name):
+                    self._connection.send(("baseline", name, baseline(env, name)))
+                case _:
+                    return
+
+    def _teach(self, first: Cell) -> None:
+        pool = make_pool(first)
+        cells: deque[Cell] = deque()
+
+        def next_start() -> Start | None:
+            if not cells:
+                cells.extend(self._ask("next")[1])
+            return start_of(cells.popleft()) if cells else None
+
+        def deliver(finished: Finished) -> None:
+            self._connection.send(("rows", rows_of(finished.name, finished.lane)))
+
+        pool.run(next_start, deliver, lambda: self._report(pool))
+        self._done = self._progress(pool)
+        self._connection.send(("progress", self._done))
+
+    def _report(self, pool: Pool) -> None:
+        if time.monotonic() - self._reported > REPORT_SECONDS:
+            self._reported = time.monotonic()
+            self._connection.send(("progress", self._progress(pool)))
+
+    def _progress(self, pool: Pool) -> Progress:
+        done, counters = self._done, pool.counters
+        return Progress(
+            done.env_steps + counters.env_steps,
+            done.episodes + counters.episodes,
+            done.compile_seconds + counters.compile_seconds,
+            done.compilations + counters.compilations,
+        )
+
+    def _ask(self, question: str) -> tuple:
+        self._connection.send((question,))
+        return self._connection.recv()
+
+
+def rows_of(cell: Cell, lane: Lane) -> CellRows:
+    """What is stored of a finished lane: an episode that never began has no row."""
+    began = np.flatnonzero(lane.rows.length > 0)
+    status = [Status.OK.label] * len(began)
+    if began.size:
+        status[-1] = Status(int(lane.status)).label
+    episodes = {name: np.asarray(value)[began] for name, value in vars(lane.rows).items()}
+    logged = int(lane.log.count)
+    corrections = {name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")}
+    return CellRows(cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections)
+
+
+def baseline(env_name: str, name: str) -> dict[str, float]:
+    """Return of the idle policy or of an expert: mean and standard deviation over `n` starts."""
+    env = make_env(env_name)
+    policy = idle(env) if name == "idle" else make_expert(env_name, name)
+    returns = np.asarray(evaluate(env, policy, BASELINE_STARTS).returns)
+    return {"mean": float(returns.mean()), "std": float(returns.std(ddof=1)), "n": BASELINE_STARTS}
+
+
+def main() -> None:
+    """Serves the connection whose descriptor is the one argument."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which says when to stop
+    connection = Connection(int(sys.argv[1]))
+    try:
+        Worker(connection).run()
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        os._exit(1)  # the parent is gone
+    except Exception:
+        connection.send(("failed", traceback.format_exc()))
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import pandas as pd
+import pytest
+
+from gpcjax.errors import UserError
+from gpcjax.report.run import draw, draw_frames
+from tests.report import synthetic
+
+PLAIN = {
+    "summary.csv",
+    "differences.csv",
+    "curves.png",
+    "curves.pdf",
+    "rates.png",
+    "rates.pdf",
+    "report.html",
+}
+
+
+class Reader(HTMLParser):
+    """Collects text and attributes, and checks that tags are balanced."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.sources, self.tags = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read_page(out):
+    reader = Reader()
+    reader.feed((out / "report.html").read_text(encoding="utf-8"))
+    assert not reader.open
+    return reader, " ".join(reader.text)
+
+
+def test_draw_writes_everything_from_the_store(out):
+    frame = synthetic.episodes(seeds=4, errors=(0.0, 0.1))
+    corrections = synthetic.corrections(seeds=4, errors=(0.0, 0.1))
+    synthetic.write(out, frame, corrections, synthetic.manifest(frame))
+    summary = draw(out)
+    assert {path.name for path in summary.files} == PLAIN
+    assert {path.name for path in out.iterdir()} == PLAIN | {"episodes", "corrections", "manifest.json"}
+    table = pd.read_csv(out / "summary.csv")
+    assert len(table) == 6 and table["final_return"].notna().all()
+    before = {path: path.read_bytes() for path in summary.files}
+    draw(out)
+    assert before == {path: path.read_bytes() for path in summary.files}
+
+
+def test_report_stands_alone_and_says_what_was_run(out):
+    frame = synthetic.episodes(seeds=3)
+    frame.loc[(frame["seed"] == 1) & (frame["algo"] == "gpc") & (frame["episode"] == 30), "status"] = (
+        "non-finite"
+    )
+    manifest = synthetic.manifest(frame, machine={"processor": "<b>fast & small</b>"})
+    draw_frames(out, frame, synthetic.corrections(seeds=3), manifest)
+    reader, text = read_page(out)
+    assert len(reader.sources) == 2 and all(
+        source.startswith("data:image/svg+xml;base64,") for source in reader.sources
+    )
+    assert not {"script", "link", "iframe", "b"} & set(reader.tags)
+    assert not re.search(r"https?://|@import|url\(", (out / "report.html").read_text())
+    assert "<b>fast & small</b>" in text  # as text, not as tags
+    assert "3 runs stopped (a number was not finite: 3)" in text
+    for fact in ("0123456789ab", "493,000", "0.10.0", "oracle gpc", "GPC-NS - COACH"):
+        assert fact in text
+
+
+def test_grid_adds_a_heatmap(out):
+    points = synthetic.length_scale_grid((0.1, 0.2), (0.1, 0.2))
+    names = list(points["gpc"][0])
+    frame = synthetic.episodes(seeds=3, errors=(0.0,), length=8, points=points)
+    rows = synthetic.corrections(seeds=3, errors=(0.0,), points=points)
+    summary = draw_frames(out, frame, rows, synthetic.manifest(frame, names))
+    assert {path.name for path in summary.files} == PLAIN | {"heatmap.png", "heatmap.pdf"}
+    reader, text = read_page(out)
+    assert len(reader.sources) == 3 and "Every point of the grid" in text
+    assert {"policy_length_scale", "human_length_scale", "best", "tied"} <= set(
+        pd.read_csv(out / "summary.csv")
+    )
+
+
+def test_one_run_of_one_algorithm_without_corrections(out):
+    frame = synthetic.episodes(algos=("coach",), errors=(0.0,), seeds=1, length=3)
+    rows = synthetic.corrections(algos=("coach",), errors=(0.0,), seeds=1).iloc[:0]
+    summary = draw_frames(out, frame, rows, synthetic.manifest(frame))
+    assert {path.name for path in summary.files} == PLAIN - {"rates.png", "rates.pdf"}
+    assert pd.read_csv(out / "differences.csv").empty
+
+
+def test_nothing_to_report(out):
+    frame = synthetic.episodes(seeds=1)
+    with pytest.raises(UserError, match="holds no episodes") as caught:
+        draw_frames(out, frame.iloc[:0], synthetic.corrections(seeds=1), synthetic.manifest(frame))
+    assert "\n" not in str(caught.value)
+    assert not list(out.iterdir())
+
+
+def test_a_report_needs_neither_jax_nor_pyplot():
+    code = (
+        "import sys, gpcjax.report.run, gpcjax.report.tables\n"
+        "sys.exit(', '.join({'jax', 'equinox', 'brax', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,169 @@
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import trim_mean
+
+from gpcjax.errors import UserError
+from gpcjax.report.groups import gather
+from gpcjax.report.summary import summarise
+from tests.report import synthetic
+
+
+def summary_of(frame, varying=(), **changes):
+    return summarise(gather(frame, synthetic.manifest(frame, varying, **changes)))
+
+
+def per_run(frame, column, function):
+    return frame.groupby("seed")[column].apply(function)
+
+
+def test_row_says_what_pandas_says(cartpole):
+    frame = synthetic.episodes()
+    frame = frame[(frame["algo"] == "coach") & (frame["error"] == 0.1)].sort_values("episode")
+    row = cartpole.table().set_index(["algo", "error"]).loc[("coach", 0.1)]
+    assert row["runs"] == 12
+    assert row["final_return"] == pytest.approx(
+        trim_mean(per_run(frame, "return", lambda r: r.tail(5).mean()), 0.25)
+    )
+    assert row["area"] == pytest.approx(per_run(frame, "return", "mean").mean())
+    assert row["corrections"] == pytest.approx(per_run(frame, "corrections", "sum").mean())
+    threshold = 40 + 0.9 * (2500 - 40)
+    crossings = [next((e for e, r in zip(run["episode"], run["return"], strict=True) if r >= threshold), np.inf)
+                 for _, run in frame.groupby("seed")]  # fmt: skip
+    assert row["episodes_to_90"] == np.median(crossings)
+    assert row["never"] == np.isinf(crossings).sum()
+    assert (row["oracle_return"], row["idle_return"]) == (2500, 40)
+    assert row["final_return_lower"] < row["final_return"] < row["final_return_upper"]
+
+
+def test_rows_are_ordered_and_tidy(cartpole):
+    table = cartpole.table()
+    assert table["error"].tolist() == [0.0] * 3 + [0.1] * 3 + [0.2] * 3
+    assert table["algo"].tolist() == ["gpc", "gpc-ns", "coach"] * 3
+    assert table.drop(columns=["env", "oracle", "algo"]).dtypes.map(pd.api.types.is_numeric_dtype).all()
+
+
+def test_differences_are_paired_and_first_minus_second(cartpole):
+    table = cartpole.difference_table()
+    assert list(zip(table["first"], table["second"], strict=True))[:3] == [
+        ("gpc", "gpc-ns"),
+        ("gpc", "coach"),
+        ("gpc-ns", "coach"),
+    ]
+    assert len(table) == 9 and (table["pairs"] == 12).all()
+    frame = synthetic.episodes()
+    area = frame[frame["error"] == 0].groupby(["algo", "seed"])["return"].mean()
+    row = table[(table["error"] == 0) & (table["second"] == "coach")].iloc[0]
+    assert row["area_difference"] == pytest.approx((area["gpc"] - area["coach"]).mean())
+    assert row["excludes_zero"] and row["area_difference_lower"] > 0
+
+
+def test_order_of_the_rows_of_a_store_does_not_count(cartpole):
+    frame = synthetic.episodes()
+    shuffled = summary_of(frame.sample(frac=1, random_state=1))
+    pd.testing.assert_frame_equal(shuffled.table(), cartpole.table())
+    pd.testing.assert_frame_equal(shuffled.difference_table(), cartpole.difference_table())
+
+
+def test_a_row_does_not_depend_on_the_others(cartpole):
+    alone = summary_of(synthetic.episodes(algos=("gpc-ns",), errors=(0.1,))).table()
+    whole = cartpole.table()
+    same = whole[(whole["algo"] == "gpc-ns") & (whole["error"] == 0.1)].reset_index(drop=True)
+    pd.testing.assert_frame_equal(alone, same)
+
+
+def test_stopped_and_unfinished_runs_are_counted_and_left_out():
+    frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=8)
+    planned = synthetic.manifest(frame)
+    gpc, seed, episode = frame["algo"] == "gpc", frame["seed"], frame["episode"]
+    frame.loc[gpc & (seed == 3) & (episode == 11), "status"] = "full"
+    frame.loc[gpc & (seed == 4) & (episode == 30), "status"] = "non-finite"  # in its last episode
+    gone = (
+        (seed == 3) & (episode > 11)
+        | (seed == 5) & (episode > 20)
+        | (seed == 6) & (episode == 2)
+        | (seed == 7)
+    )
+    frame = frame[~(gpc & gone)]
+    summary = summarise(gather(frame, planned))
+    row = summary.table().iloc[0]
+    assert (row["runs"], row["stopped"], row["unfinished"]) == (3, 2, 2)
+    assert (summary.stopped, summary.unfinished, summary.missing) == (2, 2, 1)
+    stops = summary.rows[0].group.stopped
+    assert [(stop.seed, stop.episode, stop.status) for stop in stops] == [
+        (3, 11, "full"),
+        (4, 30, "non-finite"),
+    ]
+    kept = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=3)
+    assert row["area"] == pytest.approx(kept["return"].mean())
+    assert summary.differences[0].pairs == 3
+
+
+def test_all_runs_stopped():
+    frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=2)
+    frame.loc[(frame["algo"] == "gpc") & (frame["episode"] == 30), "status"] = "full"
+    table = summary_of(frame).table()
+    assert table["runs"].tolist() == [0, 2]
+    assert np.isnan(table["final_return"][0]) and not table["best"][0]
+
+
+def test_sweep_that_is_nowhere_complete_is_compared_as_far_as_it_got():
+    frame = synthetic.episodes(seeds=4)
+    manifest = synthetic.manifest(frame)
+    frame = frame[frame["episode"] <= 12]
+    summary = summarise(gather(frame, manifest))
+    assert summary.study.episodes == 12
+    assert (summary.table()["runs"] == 4).all()
+
+
+def test_one_seed_has_estimates_without_intervals():
+    summary = summary_of(synthetic.episodes(seeds=1))
+    table = summary.table()
+    assert table["final_return"].notna().all()
+    assert table.filter(regex="_(lower|upper)$").isna().all(axis=None)
+    assert not summary.difference_table()["excludes_zero"].any()
+
+
+def test_without_baselines_nothing_is_said_about_the_gap():
+    table = summary_of(synthetic.episodes(seeds=2), baselines={}).table()
+    assert table[["episodes_to_90", "oracle_return", "idle_return"]].isna().all(axis=None)
+    assert (table["never"] == 0).all()
+
+
+def test_an_oracle_below_idle_leaves_no_gap_to_close():
+    baselines = {
+        "idle": {"mean": 9.0, "std": 1.0, "n": 5},
+        "oracles": {"gpc": {"mean": 8.0, "std": 1.0, "n": 5}},
+    }
+    assert summary_of(synthetic.episodes(seeds=2), baselines=baselines).table()["episodes_to_90"].isna().all()
+
+
+def test_grid_has_a_best_point_for_each_algorithm_and_error_rate(grid):
+    table = grid.table()
+    assert len(table) == 2 * (12 + 12 + 1)
+    assert (table.groupby(["algo", "error"])["best"].sum() == 1).all()
+    assert table.loc[table["best"], "tied"].all()
+    assert table.loc[table["algo"] == "coach", "policy_length_scale"].isna().all()
+    assert len(grid.leading) == 6 and all(row.best for row in grid.leading)
+
+
+def test_pairs_of_a_grid_agree_in_what_both_have(grid):
+    table = grid.difference_table()
+    both = table[(table["first"] == "gpc") & (table["second"] == "gpc-ns") & (table["error"] == 0)]
+    assert len(both) == 12
+    assert len(table[(table["second"] == "coach") & (table["error"] == 0)]) == 24
+    assert table["policy_length_scale"].notna().all()
+
+
+def test_two_oracles_are_not_mixed():
+    frame = synthetic.episodes(seeds=3, oracles=("gpc", "lqr"), errors=(0.0,))
+    summary = summary_of(frame)
+    assert summary.table()["oracle"].tolist() == ["gpc"] * 3 + ["lqr"] * 3
+    assert all(d.first.oracle == d.second.oracle for d in summary.differences)
+    assert len(summary.differences) == 6
+
+
+def test_no_episodes_is_the_users_mistake():
+    frame = synthetic.episodes(seeds=1)
+    with pytest.raises(UserError, match="holds no episodes"):
+        gather(frame.iloc[:0], synthetic.manifest(frame))
