@@ -1,5 +1,12 @@
 """Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
+import os
+
+# One thread, as in a sweep's workers: jaxlib's batched Cholesky can wait for ever on an XLA pool of several threads, and
+# OpenBLAS's threads wait for each other so long on a busy machine that one factor of 128 points takes a tenth of a second.
+for name in ("NPROC", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
 import hypothesis
 import jax
 from jaxtyping import install_import_hook

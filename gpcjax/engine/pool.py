@@ -28,30 +28,38 @@ CHUNK_SECONDS = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Tier:
-    """One block: room for these points in each dictionary, and its width."""
+    """One block: room for these points in each dictionary, its width, and how many lanes it corrects at once."""
 
     policy_capacity: int
     human_capacity: int
     lanes: int
+    group: int = 8
 
 
 TIERS = (
     Tier(32, 32, 64),
     Tier(64, 64, 64),
-    Tier(128, 128, 32),
-    Tier(256, 256, 16),
-    Tier(512, 512, 8),
-    Tier(1024, 1024, 4),
+    Tier(64, 128, 64),
+    Tier(128, 256, 32, 4),
+    Tier(256, 512, 16, 2),
+    Tier(512, 1024, 8, 1),
+    Tier(1024, 1024, 4, 1),
 )
-"""Where the widths come from: benchmarks/README.md."""
+"""Human models only append and outgrow policies, which SPARS keeps small. Widths: see benchmarks/README.md."""
 
 
 def tiers(max_capacity: int) -> tuple[Tier, ...]:
     """The tiers up to `max_capacity` points, the last one exactly there."""
-    smaller = [tier for tier in TIERS if max(tier.policy_capacity, tier.human_capacity) < max_capacity]
-    larger = [tier for tier in TIERS if tier.policy_capacity >= max_capacity]
-    lanes = larger[0].lanes if larger else max(1, TIERS[-1].lanes * TIERS[-1].policy_capacity // max_capacity)
-    return (*smaller, Tier(max_capacity, max_capacity, lanes))
+    largest, beyond = TIERS[-1].policy_capacity, list[Tier]()
+    while largest < max_capacity:
+        largest *= 2
+        beyond.append(Tier(largest, largest, 4, 1))
+    chosen: list[Tier] = []
+    for tier in (*TIERS, *beyond):
+        policy, human = min(tier.policy_capacity, max_capacity), min(tier.human_capacity, max_capacity)
+        if not chosen or (policy, human) != (chosen[-1].policy_capacity, chosen[-1].human_capacity):
+            chosen.append(dataclasses.replace(tier, policy_capacity=policy, human_capacity=human))
+    return tuple(chosen)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,7 +165,7 @@ class _Block:
         self.waiting: deque[tuple[Any, Lane]] = deque()
         """Lanes of the smaller tier that need this one."""
         self._pool, self._template = pool, template
-        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last)
+        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last, group=tier.group)
         self._lanes: Lane | None = None
         self._programs: dict[str, Callable[..., Lane]] = {}
         self._rounds = 16

@@ -2,12 +2,13 @@
 
 import abc
 import enum
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
 from gpcjax.policies.base import ByIdentity, Controller
 
@@ -37,19 +38,22 @@ class Status(enum.IntEnum):
 
 
 class Info(eqx.Module):
-    """What one correction did, for each action dimension; zeros and NaN where there was no advice or no such value."""
+    """What one correction did, for each action dimension; zeros and NaN where there was no advice or no such value.
 
-    rate: Float[Array, " action"]
+    The axis `action` is absent where one dimension is corrected by itself.
+    """
+
+    rate: Float[Array, "*action"]
     """Learning rate r_k (3.5): how far the action was moved. For COACH the change of the action at this observation."""
-    sigma_policy: Float[Array, " action"]
+    sigma_policy: Float[Array, "*action"]
     """Uncertainty of the policy before the correction; NaN for COACH."""
-    sigma_human: Float[Array, " action"]
+    sigma_human: Float[Array, "*action"]
     """Uncertainty of the human model before the correction; NaN for COACH."""
-    appended: Bool[Array, " action"]
+    appended: Bool[Array, "*action"]
     """The policy's dictionary gained a point."""
-    replaced: Bool[Array, " action"]
+    replaced: Bool[Array, "*action"]
     """SPARS (Alg. 3), or a full dictionary, put the new point in the place of an old one."""
-    full: Bool[Array, " action"]
+    full: Bool[Array, "*action"]
     """A dictionary had no room for this correction; what was then done is the learner's `on_full`."""
     status: Int[Array, ""]
     """A `Status`."""
@@ -71,12 +75,15 @@ class Learner(ByIdentity):
         """The idle policy: its action is 0 everywhere."""
         return self._init()
 
-    def act(self, state: State, obs: Real[Array, " obs"]) -> Float[Array, " action"]:
+    def act(self, state: State, obs: Real[ArrayLike, " obs"] | Sequence[float]) -> Float[Array, " action"]:
         """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
         return _act(self, state, self._vector("obs", obs, self.obs_size))
 
     def uncertainty(
-        self, state: State, obs: Real[Array, " obs"], action: Real[Array, " action"]
+        self,
+        state: State,
+        obs: Real[ArrayLike, " obs"] | Sequence[float],
+        action: Real[ArrayLike, " action"] | Sequence[float],
     ) -> Float[Array, " action"]:
         """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
         obs = self._vector("obs", obs, self.obs_size)
@@ -85,9 +92,9 @@ class Learner(ByIdentity):
     def correct(
         self,
         state: State,
-        obs: Real[Array, " obs"],
-        action: Real[Array, " action"],
-        advice: Real[Array, " action"],
+        obs: Real[ArrayLike, " obs"] | Sequence[float],
+        action: Real[ArrayLike, " action"] | Sequence[float],
+        advice: Real[ArrayLike, " action"] | Sequence[float],
     ) -> tuple[State, Info]:
         """Learns from one correction.
 
@@ -151,7 +158,9 @@ class Learner(ByIdentity):
         advice: Float[Array, " action"],
     ) -> tuple[State, Info]: ...
 
-    def _vector(self, name: str, value: Real[Array, " size"], size: int) -> Float[Array, " size"]:
+    def _vector(
+        self, name: str, value: Real[ArrayLike, " given"] | Sequence[float], size: int
+    ) -> Float[Array, " size"]:
         array = jnp.asarray(value, float)
         if array.shape != (size,):
             raise ValueError(f"{name} has shape {array.shape}, this learner takes ({size},)")

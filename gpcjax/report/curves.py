@@ -65,6 +65,8 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None
     run that can be compared has a correction.
     """
     study = summary.study
+    if corrections.empty:
+        return None
     rates = {
         group: _rates(group, corrections) for group in study.groups if group.runs and summary.of(group).best
     }
@@ -158,6 +160,7 @@ def _belongs(group: Group, corrections: pd.DataFrame) -> Bool[np.ndarray, "rows"
     for name in ("algo", "oracle", "error"):
         chosen &= np.asarray(corrections[name] == getattr(group, name))
     for name, value in group.point.values:
-        if name != "rate" and name in corrections:  # a correction's `rate` is the learning rate
-            chosen &= np.asarray(corrections[name] == value)
+        column = "advice_rate" if name == "rate" else name  # a correction's `rate` is the learning rate
+        if column in corrections:
+            chosen &= np.asarray(corrections[column] == value)
     return chosen

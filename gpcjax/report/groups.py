@@ -37,6 +37,14 @@ class Stop(NamedTuple):
     status: str
 
 
+class Limits(NamedTuple):
+    """Steps, those of them whose action was outside [-1, 1] and clipped, and corrections that met a full dictionary."""
+
+    steps: int
+    clipped: int
+    met_full: int
+
+
 @dataclass(frozen=True)
 class Point:
     """Values of the settings that vary; a setting that does not concern the algorithm is left out."""
@@ -58,6 +66,7 @@ class Group:
 
     `seeds`, `returns` and `corrections` (in each episode) hold the runs that can be compared: finished, status ok.
     `stopped` are those whose status is not ok; `unfinished` the seeds whose episodes are not all there yet.
+    `limits` are totals over the runs that can be compared.
     """
 
     oracle: str
@@ -67,8 +76,9 @@ class Group:
     seeds: Int[np.ndarray, "runs"]
     returns: Float[np.ndarray, "runs episodes"]
     corrections: Float[np.ndarray, "runs episodes"]
-    stopped: tuple[Stop, ...] = ()
-    unfinished: tuple[int, ...] = ()
+    stopped: tuple[Stop, ...]
+    unfinished: tuple[int, ...]
+    limits: Limits
 
     @property
     def runs(self) -> int:
@@ -210,6 +220,9 @@ def _group(rows: pd.DataFrame, varying: Sequence[str], length: int) -> Group:
         corrections=corrections[kept, :length],
         stopped=tuple(stopped.values()),
         unfinished=tuple(seeds[ok & ~whole].tolist()),
+        limits=Limits(
+            *(int(rows[name].to_numpy()[kept[run]].sum()) for name in ("length", "clipped", "full"))
+        ),
     )
 
 

@@ -42,6 +42,12 @@ def page(summary: Summary, pictures: Iterable[Picture]) -> str:
         *map(_picture, pictures),
         *_differences(summary),
         *(_folded("Every point of the grid", tables.grid_sheets(summary)) if study.varying else []),
+        "<h2>Limits met</h2>",
+        *map(_table, tables.limits_sheets(summary)),
+        _paragraph(
+            "Steps of the runs that are in the numbers; clipped: the part of them whose action was outside [-1, 1]; "
+            "met full: corrections that met a full dictionary; stopped: runs that ended before their time."
+        ),
         "<h2>How the numbers are made</h2>",
         _definitions(_methods(summary)),
         "<h2>What was run</h2>",

@@ -162,6 +162,7 @@ def _row_columns(study: Study, row: Row) -> dict[str, Any]:
         "runs": group.runs,
         "stopped": len(group.stopped),
         "unfinished": len(group.unfinished),
+        **group.limits._asdict(),
         **_interval_columns("final_return", row.final),
         **_interval_columns("area", row.area),
         **_interval_columns("episodes_to_90", row.closed),

@@ -120,6 +120,12 @@ def warnings(summary: Summary) -> list[str]:
             f"{_runs(summary.stopped)} stopped ({causes}) and {_are(summary.stopped)} in no number below."
         )
         lines += [f"  {line}" for line in stopped_lines(study)]
+    full = sum(group.limits.met_full for group in study.groups)
+    if full:
+        policy = study.manifest.get("specification", {}).get("on_full", "error")
+        lines.append(
+            f"{full:,} corrections met a full dictionary (on_full {policy}) in runs that are in the numbers."
+        )
     if summary.unfinished:
         is_in = f"{_has(summary.unfinished)} not finished and {_are(summary.unfinished)}"
         lines.append(f"{_runs(summary.unfinished)} {is_in} in no number below.")
@@ -158,12 +164,43 @@ def reading(summary: Summary) -> list[str]:
             "Of a grid each algorithm shows its point with the highest final return; tied: points not significantly "
             "worse on the same seeds, that one included. All points are in summary.csv."
         )
+    clipped = [
+        group.limits.clipped / group.limits.steps for group in summary.study.groups if group.limits.clipped
+    ]
+    if clipped:
+        lines.append(
+            f"Actions outside [-1, 1] were clipped at up to {100 * max(clipped):.2g}% of a row's steps; "
+            "all counts are in summary.csv."
+        )
     runs = max(group.runs for group in summary.study.groups)
     if runs == 1:
         lines.append("One run has no interval: give more seeds.")
     elif 1 < runs < 10:
         lines.append("A bootstrap over fewer than ten runs gives too narrow an interval: give more seeds.")
     return lines
+
+
+def limits_sheets(summary: Summary) -> list[Sheet]:
+    """Steps, clipped actions and full dictionaries of the same runs as `result_sheets`; a sheet for each oracle."""
+    columns = ("error", "algo", *_symbols(summary.study), "runs", "steps", "clipped", "met full", "stopped")
+    sheets = []
+    for oracle in _oracles(summary):
+        groups = [row.group for row in summary.leading if row.group.oracle == oracle]
+        rows = tuple(
+            (
+                *_head(group, summary.study.varying),
+                str(group.runs),
+                f"{group.limits.steps:,}",
+                f"{100 * group.limits.clipped / max(group.limits.steps, 1):.2f}%",
+                f"{group.limits.met_full:,}",
+                str(len(group.stopped)),
+            )
+            for group in groups
+        )
+        sheets.append(
+            Sheet(f"steps, oracle {oracle}", columns, rows, _breaks([group.error for group in groups]))
+        )
+    return sheets
 
 
 def reading_differences() -> list[str]:

@@ -4,7 +4,7 @@ Started by `gpcjax.sweep.executors` as `python -m gpcjax.sweep.worker DESCRIPTOR
 the number of processes: XLA's arithmetic may depend on how it splits work, and jaxlib's batched Cholesky can wait
 for ever on a pool of several threads.
 
-Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Progress),
+Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Totals),
 ("baseline", name, numbers), ("failed", text). Answers: ("program", Cell), ("cells", list of Cell, empty if there are no
 more), ("baseline", env, name), ("stop",).
 """
@@ -16,7 +16,6 @@ import time
 import traceback
 from collections import deque
 from multiprocessing.connection import Connection
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from gpcjax.engine.pool import Finished, Pool, Start
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.learners.base import Status
 from gpcjax.sweep.build import make_pool, start_of
+from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.store import CellRows
 
@@ -33,21 +33,12 @@ REPORT_SECONDS = 0.25
 BASELINE_STARTS = 100
 
 
-class Progress(NamedTuple):
-    """What a worker has done since it began."""
-
-    env_steps: int
-    episodes: int
-    compile_seconds: float
-    compilations: int
-
-
 class Worker:
     """One connection's work."""
 
     def __init__(self, connection: Connection):
         self._connection = connection
-        self._done = Progress(0, 0, 0.0, 0)
+        self._done = Totals()
         self._reported = 0.0
 
     def run(self) -> None:
@@ -82,9 +73,9 @@ class Worker:
             self._reported = time.monotonic()
             self._connection.send(("progress", self._progress(pool)))
 
-    def _progress(self, pool: Pool) -> Progress:
+    def _progress(self, pool: Pool) -> Totals:
         done, counters = self._done, pool.counters
-        return Progress(
+        return Totals(
             done.env_steps + counters.env_steps,
             done.episodes + counters.episodes,
             done.compile_seconds + counters.compile_seconds,

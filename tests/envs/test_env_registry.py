@@ -43,7 +43,7 @@ def test_targets_are_well_formed() -> None:
     for entry in ENVS.values():
         for target, *_ in ((entry.target,), *entry.experts.values()):
             module, attribute = target.split(":")
-            assert module.startswith("gpcjax.envs.") and attribute.isidentifier()
+            assert module.startswith(("gpcjax.envs.", "gpcjax.policies.")) and attribute.isidentifier()
 
 
 def test_unknown_names() -> None:

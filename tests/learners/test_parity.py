@@ -99,7 +99,8 @@ def test_parity_after_many_replacements():
         np.testing.assert_allclose(info.sigma_policy, expected.sigma_policy, atol=TOLERANCE, rtol=0)
         # the rate contains sigma_human, which differs here on purpose: carry the learner's target over
         policy = reference.policies[0]
-        policy.targets[np.asarray(state.policy.points[0, : len(policy.targets)] == obs).all(1)] = info.rate * advice
+        points = np.asarray(state.policy.points)[0, : len(policy.targets)]
+        policy.targets[(points == obs).all(1)] = info.rate * advice
         np.testing.assert_allclose(
             np.asarray(learner.controller(state)(np.asarray(obs))), [policy.predict(obs)[0]], atol=TOLERANCE, rtol=0
         )

@@ -51,6 +51,8 @@ def episodes(
                         "mean_rate": random.uniform(0.05, 0.4, length),
                         "policy_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
                         "human_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
+                        "clipped": random.binomial(200, 0.02, length).astype(np.int32),
+                        "full": np.int32(0),
                         "status": "ok",
                         **{name: point.get(name, np.nan) for name in _names(points)},
                     }

@@ -1,5 +1,6 @@
 import io
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -63,6 +64,23 @@ def test_what_is_missing_is_said():
     assert "3 runs of the specification have no episode yet." in tables.warnings(summary)
     part = summarise(gather(frame[frame["episode"] < 9], synthetic.manifest(frame)))
     assert "No run is complete: these are the first 8 of 30 episodes." in tables.warnings(part)
+
+
+def test_clipped_actions_and_full_dictionaries_are_said():
+    frame = synthetic.episodes(algos=("gpc",), errors=(0.0, 0.1), seeds=3)
+    frame.loc[(frame["seed"] == 1) & (frame["episode"] == 4), "full"] = 7
+    frame["clipped"] = np.where(frame["error"] == 0.1, 50, 0)
+    summary = summary_of(frame)
+    assert "14 corrections met a full dictionary (on_full error) in runs that are in the numbers." in printed(
+        summary, 120
+    )
+    assert "clipped at up to 25% of a row's steps" in printed(summary, 120)
+    (sheet,) = tables.limits_sheets(summary)
+    assert sheet.rows[1] == ("10%", "GPC", "3", "18,000", "25.00%", "7", "0")
+    assert summary.table()[["steps", "clipped", "met_full"]].to_numpy().tolist() == [
+        [18000, 0, 7],
+        [18000, 4500, 7],
+    ]
 
 
 def test_few_seeds_are_said_to_be_few():
