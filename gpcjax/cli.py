@@ -111,10 +111,9 @@ def _report(out: Path) -> int:
 def _oracles(text: str | None) -> int:
     names = env_names() if text is None else text.split(",")
     envs = tuple(dict.fromkeys(parse(OPTIONS["env"], name, "--env") for name in names))
-    from gpcjax.sweep.oracles import build
+    from gpcjax.sweep.executors import run_alone
 
-    build(envs)
-    return 0
+    return run_alone("gpcjax.sweep.oracles", *envs)
 
 
 def _fail(message: str, status: int) -> int:

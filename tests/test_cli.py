@@ -41,7 +41,7 @@ def calls(monkeypatch, tmp_path):
     monkeypatch.setitem(
         sys.modules, "gpcjax.report.tables", SimpleNamespace(render=lambda summary: "the table")
     )
-    monkeypatch.setitem(sys.modules, "gpcjax.sweep.oracles", SimpleNamespace(build=record.built.append))
+    monkeypatch.setattr("gpcjax.sweep.executors.run_alone", lambda *words: record.built.append(words) or 0)
     return record
 
 
@@ -140,7 +140,8 @@ def test_report_and_oracles(calls, capsys):
     assert calls.drawn == [Path("here")] * 2
     assert cli.main(["oracles"]) == 0
     assert cli.main(["oracles", "--env", "pendulum,pendulum"]) == 0
-    assert calls.built == [("cartpole", "pendulum"), ("pendulum",)]
+    module = "gpcjax.sweep.oracles"
+    assert calls.built == [(module, "cartpole", "pendulum"), (module, "pendulum")]
 
 
 @pytest.mark.parametrize("words", [["--version"], ["version"]])

@@ -1,8 +1,8 @@
 """The state of one lane: a learner, its teacher and its task, and the rows that they produce.
 
 A block holds many lanes in the same structure. Which axis the lanes take is a matter of speed, fixed here for each
-field: FIRST for what a correction touches as a whole (the learner's matrices), so that a lane is contiguous; LAST for what
-every step touches (observations, the controller), so that arithmetic runs over lanes.
+field: FIRST for what a correction touches as a whole (the learner's matrices), so that a lane is contiguous; LAST for
+what every step touches (observations, the controller), so that arithmetic runs over lanes.
 """
 
 import enum
@@ -103,10 +103,13 @@ class Lane(eqx.Module):
 FIRST = ("learner", "state", "log")
 
 
-def map_lanes(function: Callable[..., Array], block: Lane, *others: Lane) -> Lane:
-    """`function(leaf, *other leaves, axis)` for each leaf, with the axis that the lanes take in a block."""
+def map_lanes(function: Callable[..., Any], block: Lane, *others: Lane) -> Lane:
+    """`function(leaf, *other leaves, axis)` for each leaf, with the axis that the lanes take in a block.
 
-    def apply(path: Any, leaf: Array, *rest: Array) -> Array:
+    A leaf may be an array of jax or numpy, or the shape of one.
+    """
+
+    def apply(path: Any, leaf: Any, *rest: Any) -> Any:
         return function(leaf, *rest, 0 if path[0].name in FIRST else -1)
 
     return jax.tree_util.tree_map_with_path(apply, block, *others)
@@ -134,9 +137,7 @@ def coin_window(
     return jnp.where(bits, jnp.uint32(1) << offsets, jnp.uint32(0)).sum(dtype=jnp.uint32)
 
 
-def fresh(
-    env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int
-) -> Lane:
+def fresh(env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int) -> Lane:
     """A lane at the start of its first episode, its learner idle."""
     zero = jnp.zeros((), jnp.int32)
     state = learner.init()

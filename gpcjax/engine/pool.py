@@ -1,9 +1,9 @@
 """Runs any number of lanes through blocks of fixed width, from the host.
 
-A block is a compiled program for a number of lanes and a capacity. Between chunks of some tens of milliseconds the host takes out
-lanes that have finished, gives their places to the next ones, and moves lanes whose dictionary is full into the block of the
-next capacity. Widths and capacities are fixed, a lane's tier follows from its own counts, and empty places
-are masked: so the bits of a lane do not depend on what else is run, nor on when the host looks.
+A block is a compiled program for a number of lanes and a capacity. Between chunks of some tens of milliseconds the
+host takes out lanes that have finished, gives their places to the next ones, and moves lanes whose dictionary is full
+into the block of the next capacity. Widths and capacities are fixed, a lane's tier follows from its own counts, and
+empty places are masked: so the bits of a lane do not depend on what else is run, nor on when the host looks.
 """
 
 import dataclasses
@@ -65,7 +65,8 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
 @dataclasses.dataclass(frozen=True)
 class Start:
     """A run to begin. Numbers of `learner` and `teacher` may differ between the starts of one pool, their structure
-    may not."""
+    may not.
+    """
 
     name: Any
     """The caller's own, handed back with the result."""
@@ -165,7 +166,9 @@ class _Block:
         self.waiting: deque[tuple[Any, Lane]] = deque()
         """Lanes of the smaller tier that need this one."""
         self._pool, self._template = pool, template
-        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last, group=tier.group)
+        self._loop = Loop(
+            env=pool._env, expert=expert, episodes=pool._episodes, grows=not last, group=tier.group
+        )
         self._lanes: Lane | None = None
         self._programs: dict[str, Callable[..., Lane]] = {}
         self._rounds = 16
@@ -183,7 +186,9 @@ class _Block:
         arguments = (start.learner, start.teacher, np.int64(start.seed))
 
         def begin(block: Lane, place: Any, learner: Learner, teacher: Teacher, seed: Any) -> Lane:
-            return _insert(block, place, self._sized(fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)))
+            return _insert(
+                block, place, self._sized(fresh(self._loop.env, learner, teacher, seed, self._loop.episodes))
+            )
 
         self._place("begin", begin, start.name, *arguments)
 
@@ -203,13 +208,17 @@ class _Block:
         before = self._work_done()
         began = time.perf_counter()
         compiling = self._pool.counters.compile_seconds
-        self._lanes = self._call("advance", lambda block, rounds: self._loop.advance(block, rounds), np.int32(self._rounds))
+        self._lanes = self._call(
+            "advance", lambda block, rounds: self._loop.advance(block, rounds), np.int32(self._rounds)
+        )
         phases = np.array(self._lanes.phase)
         after = self._work_done()
         self._pool.counters.env_steps += after[0] - before[0]
         self._pool.counters.episodes += after[1] - before[1]
         elapsed = time.perf_counter() - began - (self._pool.counters.compile_seconds - compiling)
-        self._rounds = int(np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds))
+        self._rounds = int(
+            np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds)
+        )
         self._rounds = max(self._rounds, 4)
         self._pool.counters.chunks += 1
         leaving = [place for place in self.names if phases[place] != Phase.RUNNING]
@@ -270,6 +279,7 @@ class _Block:
 
     def _take(self, place: int) -> Lane:
         """A copy of one lane, on the host."""
+        assert self._lanes is not None
         return map_lanes(lambda leaf, axis: np.take(np.asarray(leaf), place, axis=axis), self._lanes)
 
 

@@ -5,9 +5,9 @@ that may bring advice (or the end of an episode, or of a few steps), then turns 
 gathers the few lanes that were really corrected, a small group at a time, updates their learners, and puts them
 back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
 
-A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be
-moved into a block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own
-`on_full` decides.
+A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into a
+block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own `on_full`
+decides.
 """
 
 import dataclasses
@@ -70,7 +70,9 @@ class Loop(eqx.Module):
 
     def _draw_coins(self, block: Lane) -> Lane:
         """Moves every window to its lane's present step, if any lane may otherwise run past its own."""
-        due = (block.env.time + self.stride + 1 > block.window_start + WINDOW) & (block.phase == Phase.RUNNING)
+        due = (block.env.time + self.stride + 1 > block.window_start + WINDOW) & (
+            block.phase == Phase.RUNNING
+        )
         window, start = lax.cond(
             due.any(),
             lambda: self._windows(block, block.episode, block.env.time),
@@ -106,7 +108,9 @@ class Loop(eqx.Module):
         env, tally, waiting, action = lax.fori_loop(0, self.stride, body, carry)
         return dataclasses.replace(block, env=env, tally=tally, waiting=waiting, action=action)
 
-    def _count_clipped(self, tally: Tally, proposed: Float[Array, "action lanes"], moving: Bool[Array, " lanes"]):
+    def _count_clipped(
+        self, tally: Tally, proposed: Float[Array, "action lanes"], moving: Bool[Array, " lanes"]
+    ):
         beyond = (jnp.abs(proposed) > 1.0).any(0) & moving
         return dataclasses.replace(tally, clipped=tally.clipped + beyond)
 
@@ -137,7 +141,9 @@ class Loop(eqx.Module):
         if self.grows:
             room = jax.vmap(lambda learner, state: learner.has_room(state))(block.learner, block.state)
             stuck = (advice != 0).any(0) & ~room
-            block = dataclasses.replace(block, phase=jnp.where(stuck, jnp.int32(Phase.NEEDS_ROOM), block.phase))
+            block = dataclasses.replace(
+                block, phase=jnp.where(stuck, jnp.int32(Phase.NEEDS_ROOM), block.phase)
+            )
             advice = jnp.where(stuck[None], 0.0, advice)
         return block, advice
 
@@ -147,9 +153,12 @@ class Loop(eqx.Module):
         if not block.teacher.active:
             return sigma
 
-        def body(chosen: Int[Array, " group"], sigma: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
+        def body(
+            chosen: Int[Array, " group"], sigma: Float[Array, "action lanes"]
+        ) -> Float[Array, "action lanes"]:
             values = jax.vmap(
-                lambda learner, state, obs, action: learner._uncertainty(state, obs, action), in_axes=(0, 0, -1, -1)
+                lambda learner, state, obs, action: learner._uncertainty(state, obs, action),
+                in_axes=(0, 0, -1, -1),
             )(
                 _take(block.learner, chosen, 0),
                 _take(block.state, chosen, 0),
@@ -174,7 +183,9 @@ class Loop(eqx.Module):
                 lambda learner, state, obs, action, h: learner._correct(state, obs, action, h),
                 in_axes=(0, 0, -1, -1, -1),
             )(learners, _take(states, chosen, 0), obs, action, h)
-            controller = jax.vmap(lambda learner, state: learner.controller(state), out_axes=-1)(learners, state)
+            controller = jax.vmap(lambda learner, state: learner.controller(state), out_axes=-1)(
+                learners, state
+            )
             given = (h != 0).T
             episode, step = block.episode[chosen], block.env.time[chosen]
             return (
@@ -199,7 +210,10 @@ class Loop(eqx.Module):
         )
 
     def _each_group(
-        self, pending: Bool[Array, " lanes"], body: Callable[[Int[Array, " group"], PyTree], PyTree], carry: PyTree
+        self,
+        pending: Bool[Array, " lanes"],
+        body: Callable[[Int[Array, " group"], PyTree], PyTree],
+        carry: PyTree,
     ) -> PyTree:
         """`body(lanes, carry)` for all pending lanes, `group` at a time; missing ones have an index out of bounds."""
         lanes = pending.shape[0]
@@ -230,7 +244,9 @@ class Loop(eqx.Module):
         )
         return dataclasses.replace(block, **dict(zip(names, values, strict=True)))
 
-    def _end_episodes(self, block: Lane, over: Bool[Array, " lanes"], stopped: Bool[Array, " lanes"]) -> tuple:
+    def _end_episodes(
+        self, block: Lane, over: Bool[Array, " lanes"], stopped: Bool[Array, " lanes"]
+    ) -> tuple:
         ended = over | stopped
         points = jax.vmap(lambda learner, state: learner.points(state))(block.learner, block.state)
         values = {
@@ -241,7 +257,9 @@ class Loop(eqx.Module):
         }
         here = (jnp.arange(self.episodes)[:, None] == block.episode[None]) & ended[None]
         written = {
-            name: jnp.where(here, value[None].astype(getattr(block.rows, name).dtype), getattr(block.rows, name))
+            name: jnp.where(
+                here, value[None].astype(getattr(block.rows, name).dtype), getattr(block.rows, name)
+            )
             for name, value in values.items()
         }
         tally = jax.tree.map(lambda value: jnp.where(ended, jnp.zeros_like(value), value), block.tally)
@@ -300,7 +318,9 @@ def _log(log, chosen, info: Info, given: Bool[Array, "group action"], episode, s
         outcome = jnp.stack([info.appended, info.replaced, info.full], -1)[:, dimension]
         log = dataclasses.replace(
             log,
-            count=log.count.at[chosen].add((there & (position < LOGGED_CORRECTIONS)).astype(jnp.int32), mode="drop"),
+            count=log.count.at[chosen].add(
+                (there & (position < LOGGED_CORRECTIONS)).astype(jnp.int32), mode="drop"
+            ),
             where=log.where.at[chosen, position].set(where, mode="drop"),
             values=log.values.at[chosen, position].set(values, mode="drop"),
             outcome=log.outcome.at[chosen, position].set(outcome, mode="drop"),

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gpcjax.envs.base import parameter
-from gpcjax.policies.base import ByIdentity
 from gpcjax.envs.cartpole import CartPole
+from gpcjax.policies.base import ByIdentity
 
 
 class LQR(ByIdentity):

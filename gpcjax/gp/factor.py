@@ -4,12 +4,12 @@ A *root* is a square matrix S of fixed size with
 
     S^T S = (K + noise I)^-1        on the points in use, zero rows and columns elsewhere.
 
-It starts as L^-1, the inverse of the Cholesky factor, and stays exactly that as long as points are appended: a new point
-adds one row. A point is removed by a Householder reflection Q that turns column i of S into a multiple of one unit
-vector; Q S has the same Gram matrix, its row i carries all that S knew of point i, and dropping that row leaves the root
-of the remaining points. Row and column i are then free for the next point, in place. Both steps are matrix-vector
-products and one rank-one pass: no loop over columns, so they run at full speed under `vmap`, and as Q is orthogonal
-thousands of replacements do not lose digits.
+It starts as L^-1, the inverse of the Cholesky factor, and stays exactly that as long as points are appended: a new
+point adds one row. A point is removed by a Householder reflection Q that turns column i of S into a multiple of one
+unit vector; Q S has the same Gram matrix, its row i carries all that S knew of point i, and dropping that row leaves
+the root of the remaining points. Row and column i are then free for the next point, in place. Both steps are
+matrix-vector products and one rank-one pass: no loop over columns, so they run at full speed under `vmap`, and as Q is
+orthogonal thousands of replacements do not lose digits.
 
 Every function takes `write`, a scalar bool: where it is false the root is returned as it was, so that lanes
 of a batch that have nothing to do cost no branch.
@@ -67,10 +67,10 @@ def remove(root: Root, index: Int[Array, ""], write: Bool[Array, ""]) -> tuple[R
     image = precision_column + shift * jnp.take(root, index, axis=0)
     # |reflector|^2 / 2 = norm^2 + |pivot| norm
     half = norm * (norm + jnp.abs(pivot))
-    factor = jnp.where(write, 1.0 / jnp.where(write, half, 1.0), 0.0)
+    factor = 1.0 / jnp.where(write, half, 1.0)
     reflected = root - (factor * reflector)[:, None] * image[None]
-    cleared = (here[:, None] | here[None]) & write
-    return jnp.where(cleared, 0.0, reflected), precision_column
+    reflected = jnp.where(here[:, None] | here[None], 0.0, reflected)
+    return jnp.where(write, reflected, root), precision_column
 
 
 def cholesky(gram: Root, active: Bool[Array, " n"], noise: Float[Array, ""]) -> Root:

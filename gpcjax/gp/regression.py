@@ -1,8 +1,8 @@
 """Gaussian process regression on a dictionary of fixed capacity, one point at a time.
 
-`GaussianProcess` holds the hyperparameters, `Posterior` the data and what is derived from them. The inputs are scaled per
-dimension: by fixed weights (GPC), or by the inverse standard deviation of each dimension over the dictionary (GPC-NS).
-With fixed weights a new point is an O(n^2) update of the inverse factor; with normalisation it moves every
+`GaussianProcess` holds the hyperparameters, `Posterior` the data and what is derived from them. The inputs are scaled
+per dimension: by fixed weights (GPC), or by the inverse standard deviation of each dimension over the dictionary
+(GPC-NS). With fixed weights a new point is an O(n^2) update of the inverse factor; with normalisation it moves every
 entry of the Gram matrix, and the factor is computed anew, O(n^3).
 """
 
@@ -36,8 +36,8 @@ class Posterior(eqx.Module):
     """What each input dimension is multiplied by before the kernel."""
     matrix: Float[Array, "n n"]
     """Inverse root S (fixed scale) or Cholesky factor L (normalised)."""
-    weights: Float[Array, " n"] | None
-    """(K + noise I)^-1 targets, or None for a model whose mean is never asked."""
+    weights: Float[Array, " n"]
+    """(K + noise I)^-1 targets; zeros in a model that keeps none."""
 
     @property
     def capacity(self) -> int:
@@ -74,7 +74,7 @@ class GaussianProcess(eqx.Module):
             count=jnp.zeros((), jnp.int32),
             scale=jnp.ones_like(scale) if self.normalise else scale,
             matrix=empty,
-            weights=jnp.zeros(capacity) if self.keeps_weights else None,
+            weights=jnp.zeros(capacity),
         )
 
     def covariances(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, " n"]:
@@ -132,7 +132,7 @@ class GaussianProcess(eqx.Module):
             count=posterior.count,
             scale=posterior.scale,
             matrix=matrix,
-            weights=None if posterior.weights is None else pad(posterior.weights),
+            weights=pad(posterior.weights),
         )
 
     def _variance(self, whitened: Float[Array, " n"]) -> Float[Array, ""]:
@@ -153,15 +153,15 @@ class GaussianProcess(eqx.Module):
             replaced = write & (index < before.count)
             root, column = factor.remove(root, index, replaced)
             # Column `index` of the new root is zero, so the old point's covariance no longer matters.
-            if weights is not None:
+            if self.keeps_weights:
                 here = jnp.arange(before.capacity) == index
                 share = jnp.take(weights, index) / jnp.where(replaced, jnp.take(column, index), 1.0)
                 remaining = jnp.where(here, 0.0, weights - column * share)
                 weights = jnp.where(replaced, remaining, weights)
         whitened = factor.whiten(root, covariances)
         root, row = factor.append(root, index, whitened, self._variance(whitened), write)
-        if weights is not None:
-            weights = weights + row * (row * data.targets).sum()
+        if self.keeps_weights:
+            weights = jnp.where(write, weights + row * (row * data.targets).sum(), before.weights)
         return dataclasses.replace(data, matrix=root, weights=weights)
 
     def _refactor(self, before: Posterior, data: Posterior, write: Bool[Array, ""]) -> Posterior:
@@ -171,13 +171,14 @@ class GaussianProcess(eqx.Module):
         lower = jnp.where(write, lower, before.matrix)
         scale = jnp.where(write, scale, before.scale)
         weights = before.weights
-        if weights is not None:
-            weights = factor.solve(lower, factor.solve(lower, data.targets), transpose=True)
+        if self.keeps_weights:
+            solved = factor.solve(lower, factor.solve(lower, data.targets), transpose=True)
+            weights = jnp.where(write, solved, weights)
         return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:
-    """1 / sigma_m: the inverse standard deviation (ddof 0) of each dimension over the dictionary, 1 where it is constant."""
+    """1 / sigma_m, the inverse standard deviation (ddof 0) of each dimension over the dictionary; 1 if it is constant."""
     count = jnp.maximum(active.sum(), 1)
     mask = active[:, None]
     mean = jnp.where(mask, points, 0.0).sum(0) / count

@@ -5,9 +5,9 @@ import enum
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
 from gpcjax.policies.base import ByIdentity, Controller
@@ -112,7 +112,7 @@ class Learner(ByIdentity):
             ValueError: a shape does not fit, or advice is none of -1, 0, 1 (where its value is known).
         """
         advice = self._vector("advice", advice, self.action_size)
-        if not isinstance(advice, jax.core.Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+        if not isinstance(advice, Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
             raise ValueError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
         obs = self._vector("obs", obs, self.obs_size)
         return _correct(self, state, obs, self._vector("action", action, self.action_size), advice)

@@ -37,9 +37,9 @@ def make_learner(
         policy, human: for GPC and GPC-NS, kernel values by name: `{"variance": c, "length_scale": l, "nu": nu}`
             (`nu` for the policy only).
         **options: `obs_size`, `action_size`, and
-            for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`, `scaling`
-            (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`, `sparsify`, `on_full`;
-            for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
+            for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
+            `scaling` (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`,
+            `sparsify`, `on_full`; for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
 
     Raises:
         ValueError: an unknown name, a missing size, or a value out of its range; the message names it.
@@ -47,10 +47,12 @@ def make_learner(
     if algo not in PRESETS:
         raise ValueError(f"algo {algo!r} is not known: choose one of {', '.join(PRESETS)}")
     if env is not None and env not in SIZES:
-        raise ValueError(f"env {env!r} has no table: choose one of {', '.join(SIZES)}, or give obs_size and action_size")
+        raise ValueError(
+            f"env {env!r} has no table: choose one of {', '.join(SIZES)}, or give obs_size and action_size"
+        )
     values: dict[str, Any] = {}
     if env is not None:
-        values |= SIZES[env] | PRESETS[algo][env]
+        values |= {**SIZES[env], **PRESETS[algo][env]}
     elif algo != "coach":
         values |= {name: value for name, value in PRESETS[algo]["lunarlander"].items() if name != "scaling"}
     for prefix, kernel in (("policy", policy), ("human", human)):
@@ -58,10 +60,16 @@ def make_learner(
     values |= options
     missing = [name for name in ("obs_size", "action_size") if name not in values]
     if missing:
-        raise ValueError(f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}")
+        raise ValueError(
+            f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}"
+        )
     for name in ("obs_size", "action_size"):
         values[name] = _size(name, values[name])
-    return _coach(**_known(values, _COACH)) if algo == "coach" else _gpc(algo == "gpc-ns", **_known(values, _GPC))
+    return (
+        _coach(**_known(values, _COACH))
+        if algo == "coach"
+        else _gpc(algo == "gpc-ns", **_known(values, _GPC))
+    )
 
 
 _SHARED = {"obs_size", "action_size"}
@@ -76,7 +84,9 @@ _GPC = _SHARED | {
 def _known(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
     unknown = sorted(values.keys() - names)
     if unknown:
-        raise ValueError(f"{unknown[0]!r} is not an option of this learner: choose from {', '.join(sorted(names))}")
+        raise ValueError(
+            f"{unknown[0]!r} is not an option of this learner: choose from {', '.join(sorted(names))}"
+        )
     return values
 
 
@@ -104,7 +114,6 @@ def _gpc(
         raise ValueError(f"on_full {on_full!r} is not known: choose one of {', '.join(ON_FULL)}")
     if policy_nu not in (0.5, 1.5, 2.5):
         raise ValueError(f"policy_nu {policy_nu}: choose 0.5, 1.5 or 2.5")
-    noise = _number("noise", noise, positive=True)
     processes = {
         name: GaussianProcess(
             Kernel(
@@ -112,7 +121,7 @@ def _gpc(
                 length_scale=_number(f"{name}_length_scale", length_scale, positive=True),
                 smoothness=smoothness,
             ),
-            noise=noise,
+            noise=_number("noise", noise, positive=True),
             normalise=normalise,
             keeps_weights=name == "policy",
             replaces=name == "policy" or on_full == "replace-nearest",
@@ -149,13 +158,17 @@ def _coach(
     coach_constant: Any = 1.8,
 ) -> COACH:
     if lower is None or upper is None or counts is None:
-        raise ValueError("COACH needs its grid: lower, upper and counts, one value for each observation dimension")
+        raise ValueError(
+            "COACH needs its grid: lower, upper and counts, one value for each observation dimension"
+        )
     counts = tuple(_size("counts", count) for count in counts)
     lower, upper = _vector("lower", lower, obs_size), _vector("upper", upper, obs_size)
     if len(counts) != obs_size or min(counts) < 2:
         raise ValueError(f"counts {counts}: give {obs_size} numbers of at least 2")
     if not (np.asarray(lower) < np.asarray(upper)).all():
-        raise ValueError(f"lower {np.asarray(lower).tolist()} must be below upper {np.asarray(upper).tolist()}")
+        raise ValueError(
+            f"lower {np.asarray(lower).tolist()} must be below upper {np.asarray(upper).tolist()}"
+        )
     return COACH(
         grid=Grid(lower=lower, upper=upper, counts=counts),
         beta=_vector("beta", beta, action_size),

@@ -23,7 +23,6 @@ from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
 
-
 class GPCState(eqx.Module):
     """One policy and one human model for each action dimension (leading axis)."""
 
@@ -130,15 +129,15 @@ class GPC(Learner):
         policy_covariances = self.policy.covariances(state.policy, obs)
         sigma_human = self.human.deviation(state.human, human_covariances)
         sigma_policy = self.policy.deviation(state.policy, policy_covariances)
-        if self.static_rate is None:
-            rate = sigma_policy + sigma_human + self.constant_rate
-        else:
-            rate = self.static_rate
+        adaptive = sigma_policy + sigma_human + self.constant_rate  # (3.5)
+        rate = adaptive if self.static_rate is None else self.static_rate
         target = action + rate * advice
 
         given = advice != 0
         threshold = 0.5 * jnp.sqrt(self.policy.kernel.variance)
-        replaces = (sigma_policy < threshold) & (state.policy.count > 0) if self.sparsify else jnp.array(False)
+        replaces = (
+            (sigma_policy < threshold) & (state.policy.count > 0) if self.sparsify else jnp.array(False)
+        )
         policy_full = ~replaces & (state.policy.count >= state.policy.capacity)
         human_full = state.human.count >= state.human.capacity
         full = given & (policy_full | human_full)
@@ -175,5 +174,5 @@ class GPC(Learner):
 
 
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:
-    """z = (s, a), the human model's input (3.2)."""
+    """Z = (s, a), the human model's input (3.2)."""
     return jnp.concatenate([obs, action[None]])

@@ -13,7 +13,9 @@ SIZES: dict[str, dict[str, int]] = {
 }
 
 
-def _gp(c_h: float, l_h: float, c_p: float, l_p: float, nu_p: float, c_r: float, **more: Any) -> dict[str, Any]:
+def _gp(
+    c_h: float, l_h: float, c_p: float, l_p: float, nu_p: float, c_r: float, **more: Any
+) -> dict[str, Any]:
     """One column of Tables 5.1 to 5.3, in their order of rows."""
     return {
         "human_variance": c_h,

@@ -19,4 +19,6 @@ def save_policy(path: str | os.PathLike[str], learner: Learner, state: State, **
         FileExistsError: there is something at `path`.
     """
     sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
-    save_controller(path, learner.controller(state), {"learner": type(learner).__name__, **sizes, **provenance})
+    save_controller(
+        path, learner.controller(state), {"learner": type(learner).__name__, **sizes, **provenance}
+    )

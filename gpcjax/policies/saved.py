@@ -1,7 +1,7 @@
 """Policies on disk: a folder with an orbax checkpoint of the arrays and a JSON card that says what they are.
 
-    policy/card.json     kind, sizes, and where the policy comes from
-    policy/arrays/       the checkpoint
+policy/card.json     kind, sizes, and where the policy comes from
+policy/arrays/       the checkpoint
 """
 
 import json
@@ -53,8 +53,9 @@ def save_controller(path: str | os.PathLike[str], controller: Controller, proven
 
 
 def load_policy(path: str | os.PathLike[str]) -> Policy:
-    """The policy saved at `path`: a function obs (obs_size,) -> action (action_size,) in [-1, 1], to be used alone, or
-    inside jit and vmap.
+    """The policy saved at `path`, a function obs (obs_size,) -> action (action_size,) in [-1, 1].
+
+    It may be called directly, or inside jit and vmap.
 
     Raises:
         ValueError: there is no policy at `path`, or one of another format.

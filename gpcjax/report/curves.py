@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from gpcjax.report import style, words
 from gpcjax.report.groups import Baseline, Group, Study
-from gpcjax.report.statistics import Band, mean_band, walking_mean
+from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
 from gpcjax.report.summary import Summary
 
 FIRST_CORRECTIONS = 150
@@ -59,8 +59,9 @@ def learning_curves(summary: Summary) -> Figure:
 
 
 def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None:
-    """Mean learning rate of each of the first corrections, with 95% interval, a panel for each oracle and error rate.
+    """Median learning rate of each of the first corrections, with 95% interval, a panel for each oracle and error.
 
+    The median, as COACH's rate is unbounded: off its grid a single run may take steps a hundred times the usual.
     A line ends where fewer than half of the runs have so many corrections. Of a grid the best point. None if no
     run that can be compared has a correction.
     """
@@ -79,10 +80,10 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None
             for group in study.select(oracle, error):
                 if group in rates and rates[group].size:
                     index = np.arange(1, rates[group].shape[1] + 1)
-                    _line(axis, index, mean_band(rates[group]), style.colour(group.algo))
-            axis.set_ylim(bottom=0)
+                    _line(axis, index, median_band(rates[group]), style.colour(group.algo))
             style.count_ticks(axis, longest)
-        style.label(axes, "correction", "learning rate")
+        axes[0].set_ylim(bottom=0)  # for all panels, once all lines are there
+        style.label(axes, "correction", "learning rate, median of runs")
         style.legend(figure, _algorithms(study))
     return figure
 

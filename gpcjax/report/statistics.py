@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.stats import binom
 
 RESAMPLES = 5000
 LEVEL = 0.95
@@ -109,6 +110,22 @@ def mean_band(curves: Float[np.ndarray, "runs points"]) -> Band:
         # A resample that took none of the runs with a value at a point says nothing about that point.
         lower[known], upper[known] = np.nanquantile(resampled[:, known], _TAILS, axis=0)
     return Band(mean, lower, upper)
+
+
+def median_band(curves: Float[np.ndarray, "runs points"]) -> Band:
+    """Median over runs at each point, with a 95% interval; nan is where a run has no value and counts nowhere.
+
+    The interval lies between two order statistics (binomial with p = 1/2), so that it holds for any distribution:
+    what a few runs do that diverge moves neither it nor the median. `Band.mean` holds the median.
+    """
+    ordered = np.sort(curves, axis=0)  # nan comes last
+    count = (~np.isnan(curves)).sum(axis=0)
+    below = np.maximum(binom.ppf(_TAILS[0], count, 0.5), 1).astype(int) - 1
+    point = np.arange(curves.shape[1])
+    last = np.maximum(count - 1, 0)
+    middle = (ordered[last // 2, point] + ordered[np.minimum(count // 2, last), point]) / 2
+    lower, upper = ordered[np.minimum(below, last), point], ordered[np.maximum(last - below, 0), point]
+    return Band(middle, lower, upper)
 
 
 def paired_difference(first: Scores, second: Scores) -> tuple[Interval, int]:

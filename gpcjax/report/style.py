@@ -106,7 +106,7 @@ def count_ticks(axis: Axes, last: int) -> None:
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """One legend above the panels, where it covers no data; in two rows or more where one is too long."""
-    inches = sum(0.55 + 0.065 * len(str(handle.get_label())) for handle in handles)
+    inches = sum(0.47 + 0.058 * len(str(handle.get_label())) for handle in handles)
     rows = -(-inches // figure.get_figwidth())
     columns = int(-(-len(handles) // max(rows, 1)))
     if handles:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.allowed import NON_NEGATIVE, Numbers
@@ -35,12 +36,8 @@ def start_of(cell: Cell) -> Start:
         }
     learner: Learner = make_learner(cell.algo, cell.env, **options)
     gain = values.get("active_gain", 0.0)
-    return Start(
-        name=cell,
-        learner=jax.tree.map(np.asarray, learner),
-        teacher=_oracle(cell.rate, cell.error, cell.delta, gain),
-        seed=cell.seed,
-    )
+    learner, teacher = jax.tree.map(np.asarray, (learner, _oracle(cell.rate, cell.error, cell.delta, gain)))
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed)
 
 
 def make_pool(cell: Cell) -> Pool:
@@ -92,7 +89,9 @@ def make_oracle(
 
 def _oracle(rate: float, error: float, delta: float, active_gain: float) -> Oracle:
     numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
-    return Oracle(**{name: np.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+    return Oracle(
+        **{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0
+    )
 
 
 def _tiers(program: Program) -> Sequence[Tier]:

@@ -97,13 +97,16 @@ class Executors:
             message = worker.connection.recv()
         except (EOFError, ConnectionResetError):
             status = worker.process.wait()
-            raise RuntimeError(f"a worker process ended with status {status}, perhaps for want of memory") from None
+            raise RuntimeError(
+                f"a worker process ended with status {status}, perhaps for want of memory"
+            ) from None
         match message:
             case ("ready",):
                 answer = self._next_program(worker)
                 worker.connection.send(answer)
                 return answer[0] != "stop"
             case ("next",):
+                assert worker.program is not None
                 worker.connection.send(("cells", self._next_cells(worker.program)))
             case ("rows", CellRows() as rows):
                 self._on_rows(rows)
@@ -136,7 +139,15 @@ class Executors:
 
     def _totals(self) -> Totals:
         done = [worker.progress for worker in self._workers if worker.progress is not None]
-        return Totals(*(sum(getattr(progress, field.name) for progress in done) for field in dataclasses.fields(Totals)))
+        return Totals(
+            *(sum(getattr(progress, field.name) for progress in done) for field in dataclasses.fields(Totals))
+        )
+
+
+def run_alone(module: str, *words: str) -> int:
+    """`python -m module words` on one thread, as workers compute; gives its exit status."""
+    command = [sys.executable, "-m", module, *words]
+    return subprocess.run(command, env={**os.environ, **SINGLE_THREADED}, check=False).returncode
 
 
 def _start() -> _Worker:

@@ -64,7 +64,9 @@ def run(spec: SweepSpec, out: Path, jobs: int) -> None:
 class _Sweep:
     """A sweep while it runs: rows on their way to the store, and the manifest that grows with them."""
 
-    def __init__(self, spec: SweepSpec, out: Path, manifest: dict[str, Any], store: Store, missing: list[Cell]):
+    def __init__(
+        self, spec: SweepSpec, out: Path, manifest: dict[str, Any], store: Store, missing: list[Cell]
+    ):
         self._spec, self._out, self._manifest = spec, out, manifest
         self._store, self._missing = store, missing
         self._earlier = {name: manifest[name] for name in _ACCUMULATED}
@@ -98,7 +100,10 @@ class _Sweep:
 
     def _missing_baselines(self) -> list[tuple[str, str]]:
         known = self._manifest["baselines"]
-        names = [*(["idle"] if known["idle"] is None else []), *(n for n in self._spec.oracle if n not in known["oracles"])]
+        names = [
+            *(["idle"] if known["idle"] is None else []),
+            *(n for n in self._spec.oracle if n not in known["oracles"]),
+        ]
         return [(self._spec.env, name) for name in names]
 
     def _collect(self, rows: CellRows) -> None:
@@ -136,7 +141,9 @@ class _Sweep:
             "env_steps": self._totals.env_steps,
         }
         self._manifest |= {name: self._earlier[name] + value for name, value in now.items()}
-        self._manifest["env_steps_per_s"] = self._manifest["env_steps"] / max(self._manifest["wall_time_s"], 1e-9)
+        self._manifest["env_steps_per_s"] = self._manifest["env_steps"] / max(
+            self._manifest["wall_time_s"], 1e-9
+        )
         self._manifest["complete"] = complete
         write_atomic(self._out / MANIFEST, json.dumps(self._manifest, indent=2) + "\n")
 
@@ -175,7 +182,9 @@ def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
     for name, version in _versions().items():
         before = manifest["versions"].get(name)
         if before != version:
-            raise UserError(f"{out}: it was begun with {name} {before}, this is {version}: give a new folder (--out)")
+            raise UserError(
+                f"{out}: it was begun with {name} {before}, this is {version}: give a new folder (--out)"
+            )
 
 
 def _processor() -> str:

@@ -1,7 +1,7 @@
 """The rows of a sweep in its run folder: written once, atomically, and read back as pandas frames. Loads no jax.
 
-A part holds the rows of some finished cells: `episodes/NAME.parquet` and `corrections/NAME.parquet` of the same name. The
-corrections are written first; a part without episodes was interrupted, and is removed when the sweep goes on.
+A part holds the rows of some finished cells: `episodes/NAME.parquet` and `corrections/NAME.parquet` of the same
+name. The corrections are written first; a part without episodes was interrupted, and is removed when the sweep goes on.
 """
 
 import os
@@ -80,7 +80,10 @@ class Store:
                 pq.write_table(table, path)
 
     def _key(self, cell: Cell) -> tuple[Any, ...]:
-        return (*(getattr(cell, name) for name in IDENTITY), *(_setting(cell, name) for name in self._varying))
+        return (
+            *(getattr(cell, name) for name in IDENTITY),
+            *(_setting(cell, name) for name in self._varying),
+        )
 
     def _episode_table(self, rows: Sequence[CellRows]) -> pa.Table:
         parts = [row.episodes for row in rows]
@@ -105,7 +108,9 @@ class Store:
 
     def _correction_table(self, rows: Sequence[CellRows]) -> pa.Table:
         counts = [len(row.corrections["where"]) for row in rows]
-        joined = {name: np.concatenate([row.corrections[name] for row in rows]) for name in rows[0].corrections}
+        joined = {
+            name: np.concatenate([row.corrections[name] for row in rows]) for name in rows[0].corrections
+        }
         where, values, outcome = joined["where"], joined["values"], joined["outcome"]
         columns = {
             "episode": pa.array((where[:, 0] + 1).astype(np.int32)),
@@ -120,15 +125,21 @@ class Store:
 
     def _table(self, rows: Sequence[CellRows], counts: list[int], columns: dict[str, pa.Array]) -> pa.Table:
         def repeated(values: list[Any], kind: pa.DataType) -> pa.Array:
-            return pa.array([value for value, count in zip(values, counts, strict=True) for _ in range(count)], kind)
+            return pa.array(
+                [value for value, count in zip(values, counts, strict=True) for _ in range(count)], kind
+            )
 
         kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.int64())
         identity = {
             name: repeated([getattr(row.cell, name) for row in rows], kind)
             for name, kind in zip(IDENTITY, kinds, strict=True)
         }
+        # A correction's `rate` is the learning rate; the chance of advice stands beside it under another name.
         varying = {
-            name: repeated([_setting(row.cell, name) for row in rows], pa.float64()) for name in self._varying
+            "advice_rate" if name in columns else name: repeated(
+                [_setting(row.cell, name) for row in rows], pa.float64()
+            )
+            for name in self._varying
         }
         return pa.table(identity | columns | varying)
 

@@ -95,7 +95,9 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
         status[-1] = Status(int(lane.status)).label
     episodes = {name: np.asarray(value)[began] for name, value in vars(lane.rows).items()}
     logged = int(lane.log.count)
-    corrections = {name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")}
+    corrections = {
+        name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")
+    }
     return CellRows(cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections)
 
 

@@ -17,6 +17,9 @@ class Teacher(eqx.Module):
     between learners are paired, and steps at which the coin forbids advice need no further work.
     """
 
+    active: eqx.AbstractVar[bool]
+    """Whether the advice depends on the learner's uncertainty. Static."""
+
     @staticmethod
     def coins(key: PRNGKeyArray, action_size: int) -> Float[Array, " action"]:
         """The coins of one step, uniform in [0, 1). Consumes `key`."""

@@ -13,8 +13,8 @@ from gpcjax.teachers.base import Teacher
 class Oracle(Teacher):
     """Advises towards a target action, at random times, sometimes in the wrong direction.
 
-    With coin u and chance gamma: advice is given where u < gamma, and it is inverted where u < gamma * e. That is Alg. 4
-    with one draw in place of its two.
+    With coin u and chance gamma: advice is given where u < gamma, and it is inverted where u < gamma * e. That is
+    Alg. 4 with one draw in place of its two.
 
     Fields:
         rate: gamma, or the least chance gamma_c of active learning.
@@ -31,10 +31,9 @@ class Oracle(Teacher):
     active: bool = eqx.field(static=True)
 
     def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """gamma = c_a * sigma_h + gamma_c, at most 1."""
-        if not self.active:
-            return jnp.broadcast_to(self.rate, sigma_human.shape)
-        return jnp.minimum(self.active_gain * sigma_human + self.rate, 1.0)
+        """Gamma = c_a * sigma_h + gamma_c, at most 1. `sigma_human` may have an axis before those of the lanes."""
+        rate, gain = (jnp.broadcast_to(value, sigma_human.shape) for value in (self.rate, self.active_gain))
+        return jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
 
     def may_advise(
         self, coins: Float[Array, "action *lanes"], largest_sigma: Float[Array, "*lanes"]
@@ -50,8 +49,8 @@ class Oracle(Teacher):
     ) -> Float[Array, "action *lanes"]:
         gamma = self.chance(sigma_human)
         gap = target - action
-        sign = jnp.where(jnp.abs(gap) > self.delta, jnp.sign(gap), 0.0)
-        inverted = coins < gamma * self.error
+        sign = jnp.where(jnp.abs(gap) > self.delta[None], jnp.sign(gap), 0.0)
+        inverted = coins < gamma * self.error[None]
         return jnp.where(coins < gamma, jnp.where(inverted, -sign, sign), 0.0)
 
 
@@ -77,7 +76,7 @@ class Advisor(ByIdentity):
         action: Real[ArrayLike, " action"],
         sigma_human: Real[ArrayLike, " action"] | None = None,
     ) -> Float[Array, " action"]:
-        """h (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
+        """H (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
 
         Raises:
             ValueError: active learning needs `sigma_human`, from `Learner.uncertainty`.

@@ -1,5 +1,6 @@
 """The fast learners against the dense float64 reference, on generated sequences with repeats and near-repeats."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -102,7 +103,7 @@ def test_parity_after_many_replacements():
         points = np.asarray(state.policy.points)[0, : len(policy.targets)]
         policy.targets[(points == obs).all(1)] = info.rate * advice
         np.testing.assert_allclose(
-            np.asarray(learner.controller(state)(np.asarray(obs))), [policy.predict(obs)[0]], atol=TOLERANCE, rtol=0
+            learner.controller(state)(jnp.asarray(obs)), [policy.predict(obs)[0]], atol=TOLERANCE, rtol=0
         )
         replaced += int(info.replaced[0])
     assert replaced > 1900

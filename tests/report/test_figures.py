@@ -103,6 +103,13 @@ def test_learning_rates_are_means_by_index_of_correction(cartpole):
     np.testing.assert_allclose(line.get_ydata(), rows["rate"].groupby(index).mean()[:number])
     assert index.value_counts()[number - 1] >= 6 and number <= 150
     assert axis.get_ylim()[0] == 0
+    highest = max(
+        path.vertices[:, 1].max()
+        for panel in figure.axes
+        for c in panel.collections
+        for path in c.get_paths()
+    )
+    assert axis.get_ylim()[1] >= highest
     drawn(figure)
 
 

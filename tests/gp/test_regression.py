@@ -1,0 +1,237 @@
+"""Regression on a dictionary of fixed capacity, with fixed weights (GPC) and normalised (GPC-NS)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
+
+from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
+from gpcjax.gp.regression import GaussianProcess, Posterior, normalising_scale
+from tests.trees import assert_close, assert_same_bits
+
+CAPACITY = 16
+NOISE = 1e-7
+WEIGHTS = np.array([1.0, 1 / 6, 2.0])
+
+each_scaling = pytest.mark.parametrize("normalise", [False, True], ids=["fixed", "normalised"])
+
+
+def make(normalise: bool, smoothness: float = 1.5, **options: bool) -> GaussianProcess:
+    kernel = Kernel(variance=jnp.asarray(0.02), length_scale=jnp.asarray(0.4), smoothness=smoothness)
+    return GaussianProcess(kernel, jnp.asarray(NOISE), normalise=normalise, **options)
+
+
+def empty(process: GaussianProcess, capacity: int = CAPACITY) -> Posterior:
+    return process.init(capacity, jnp.asarray(WEIGHTS))
+
+
+@jax.jit
+def _put(process, posterior, point, target, index, write):
+    return process.put(posterior, point, target, index, write)
+
+
+def put(process, posterior, point, target, index, write=True) -> Posterior:
+    return _put(process, posterior, jnp.asarray(point), jnp.asarray(target), jnp.asarray(index), jnp.asarray(write))
+
+
+@jax.jit
+def _predict(process, posterior, point):
+    covariances = process.covariances(posterior, point)
+    mean = None if posterior.weights is None else (covariances * posterior.weights).sum()
+    return mean, process.deviation(posterior, covariances)
+
+
+def predict(process, posterior, probes):
+    """Means and deviations (n,) at the rows of `probes`."""
+    results = [_predict(process, posterior, jnp.asarray(probe)) for probe in probes]
+    return tuple(np.asarray([np.nan if value is None else value for value in part]) for part in zip(*results))
+
+
+def filled(process: GaussianProcess, count: int, seed: int = 0, capacity: int = CAPACITY) -> Posterior:
+    rng, posterior = np.random.default_rng(seed), empty(process, capacity)
+    for index in range(count):
+        posterior = put(process, posterior, rng.normal(size=3), rng.normal(), index)
+    return posterior
+
+
+def sklearn(process: GaussianProcess, points, targets) -> GaussianProcessRegressor:
+    """Fitted to the dictionary; the scaling sits in its length-scales."""
+    deviation = np.asarray(points).std(0)
+    widths = np.where(deviation < 1e-6, 1.0, deviation) if process.normalise else 1 / WEIGHTS
+    nu, lengths = process.kernel.smoothness, 0.4 * widths
+    shape = RBF(lengths) if nu == SQUARED_EXPONENTIAL else Matern(lengths, nu=nu)
+    kernel = ConstantKernel(0.02) * shape + WhiteKernel(NOISE)
+    return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None).fit(np.asarray(points), np.asarray(targets))
+
+
+steps = st.lists(
+    st.tuples(
+        st.tuples(*[st.integers(-2, 2)] * 3),
+        st.sampled_from([0.0, 1e-3, -0.1]),
+        st.floats(-1.2, 1.2),
+        st.one_of(st.none(), st.integers(0, CAPACITY - 1)),
+    ),
+    min_size=1,
+    max_size=CAPACITY,
+)
+
+
+@each_scaling
+@pytest.mark.parametrize("smoothness", [0.5, 1.5, 2.5, SQUARED_EXPONENTIAL])
+@settings(max_examples=12)
+@given(steps)
+def test_against_scikit_learn(normalise, smoothness, steps):
+    """Any sequence of appended and replaced points, repeats among them."""
+    process = make(normalise, smoothness)
+    posterior, points, targets = empty(process), [], []
+    for node, shift, target, index in steps:
+        point = np.array(node, float) + shift
+        if index is None or index >= len(points):
+            index = len(points)
+            points.append(point)
+            targets.append(target)
+        else:
+            points[index], targets[index] = point, target
+        posterior = put(process, posterior, point, target, index)
+    assert posterior.count == len(points)
+    assert not np.asarray(posterior.points)[len(points) :].any()
+
+    probes = np.vstack([points[-1], np.zeros(3), np.ones(3) * 0.5, np.full(3, 30.0)])
+    mean, deviation = predict(process, posterior, probes)
+    expected = sklearn(process, points, targets).predict(probes, return_std=True)
+    np.testing.assert_allclose(mean, expected[0], atol=1e-8)
+    np.testing.assert_allclose(deviation, np.maximum(expected[1], np.sqrt(NOISE)), atol=1e-8)
+
+
+@each_scaling
+def test_an_empty_dictionary_is_the_prior(normalise):
+    process = make(normalise)
+    mean, deviation = predict(process, empty(process), np.random.default_rng(1).normal(size=(3, 3)))
+    np.testing.assert_array_equal(mean, 0.0)
+    np.testing.assert_array_equal(deviation, np.sqrt(0.02 + NOISE))
+
+
+@each_scaling
+def test_rounding_cannot_take_the_variance_below_the_noise(normalise):
+    process, point = make(normalise), np.array([0.1, 0.2, 0.3])
+    posterior = empty(process)
+    for index in range(CAPACITY):
+        posterior = put(process, posterior, point, 0.5, index)
+    mean, deviation = predict(process, posterior, [point])
+    assert np.sqrt(NOISE) <= deviation <= np.sqrt(NOISE * (1 + 1.1 / CAPACITY))
+    np.testing.assert_allclose(mean, 0.5, rtol=1e-6)
+
+
+@each_scaling
+def test_growing_keeps_what_was_learned(normalise):
+    process = make(normalise)
+    posterior, probes = filled(process, 11), np.random.default_rng(2).normal(size=(5, 3))
+    grown = process.grow(posterior, 3 * CAPACITY)
+    assert grown.capacity == 3 * CAPACITY and grown.count == 11
+    before, after = predict(process, posterior, probes), predict(process, grown, probes)
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
+    # It goes on as if there had been room from the start.
+    roomy = filled(process, 11, capacity=3 * CAPACITY)
+    for index, target in ((11, 0.3), (4, -0.4)):
+        grown, roomy = (put(process, each, np.full(3, 0.1 * index), target, index) for each in (grown, roomy))
+    assert_close(grown, roomy, 1e-9)
+
+
+def test_growing_to_the_same_capacity_changes_nothing_and_below_it_is_refused():
+    process = make(False)
+    posterior = filled(process, 3)
+    assert_same_bits(process.grow(posterior, CAPACITY), posterior)
+    with pytest.raises(ValueError, match="capacity 15 is below the dictionary's 16"):
+        process.grow(posterior, 15)
+
+
+@each_scaling
+def test_without_write_nothing_changes_to_the_bit(normalise):
+    """Whatever the inputs and the dictionary's past: these weights come from no solve of this shape."""
+    process = make(normalise)
+    posterior = filled(process, 9)
+    posterior = Posterior(**(vars(posterior) | {"weights": posterior.weights * (1 + 1e-9)}))
+    for point in (np.zeros(3), np.full(3, np.nan), np.full(3, np.inf)):
+        for index in (0, 9):
+            assert_same_bits(put(process, posterior, point, np.nan, index, write=False), posterior)
+
+
+@each_scaling
+def test_a_model_without_weights_has_the_same_deviations(normalise):
+    full, lean = make(normalise), make(normalise, keeps_weights=False)
+    probes = np.random.default_rng(3).normal(size=(4, 3))
+    posterior = filled(lean, 10)
+    assert posterior.weights is None
+    np.testing.assert_array_equal(predict(lean, posterior, probes)[1], predict(full, filled(full, 10), probes)[1])
+
+
+def test_a_model_that_only_appends_is_the_same_while_it_appends():
+    assert_close(filled(make(False, replaces=False), 12), filled(make(False), 12), 1e-12)
+
+
+@each_scaling
+def test_a_batch_is_its_members(normalise):
+    process = make(normalise)
+    lanes = [filled(process, count, seed=count) for count in (0, 3, 8, 15)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
+    rng = np.random.default_rng(4)
+    points, targets = jnp.asarray(rng.normal(size=(4, 3))), jnp.asarray(rng.normal(size=4))
+    index, write = jnp.asarray([0, 1, 8, 15]), jnp.asarray([True, True, False, True])
+    put_all = jax.jit(jax.vmap(lambda *arguments: process.put(*arguments)))
+    together = put_all(stacked, points, targets, index, write)
+    for i, lane in enumerate(lanes):
+        alone = put(process, lane, points[i], targets[i], index[i], write[i])
+        # The factors are badly conditioned, so their entries agree less well than what they predict.
+        assert_close(jax.tree.map(lambda leaf, i=i: leaf[i], together), alone, 1e-6)
+        member = jax.tree.map(lambda leaf, i=i: leaf[i], together)
+        probes = rng.normal(size=(3, 3))
+        np.testing.assert_allclose(predict(process, member, probes), predict(process, alone, probes), atol=1e-12)
+
+
+class TestNormalisingScale:
+    def scale(self, rows, count=None):
+        points = np.zeros((CAPACITY, np.shape(rows)[1]))
+        points[: len(rows)] = rows
+        points[len(rows) :] = 1e9  # unused rows must not matter
+        active = jnp.arange(CAPACITY) < (len(rows) if count is None else count)
+        return np.asarray(normalising_scale(jnp.asarray(points), active))
+
+    def test_is_the_inverse_standard_deviation_over_the_points_in_use(self):
+        rows = np.random.default_rng(5).normal(size=(9, 4)) * [1.0, 10.0, 1e-3, 1e5] + [0.0, 100.0, 1.0, -1e5]
+        np.testing.assert_allclose(self.scale(rows), 1 / rows.std(0, ddof=0), rtol=1e-9)
+
+    def test_is_one_for_fewer_than_two_points(self):
+        np.testing.assert_array_equal(self.scale([[3.0, -2.0]]), 1.0)
+        np.testing.assert_array_equal(self.scale([[3.0, -2.0]], count=0), 1.0)
+
+    def test_is_one_for_a_constant_column(self):
+        rows = np.column_stack([np.full(7, 0.1), np.arange(7.0)])
+        got = self.scale(rows)
+        assert got[0] == 1.0
+        np.testing.assert_allclose(got[1], 1 / rows[:, 1].std())
+
+    def test_the_smallest_deviation_that_counts(self):
+        """Two points 2 sigma apart deviate by sigma."""
+        below, above = 0.999e-6, 1.001e-6
+        got = self.scale([[-below, -above], [below, above]])
+        assert got[0] == 1.0
+        np.testing.assert_allclose(got[1], 1 / above)
+
+
+def test_normalised_predictions_ignore_units_and_offsets():
+    """A dimension in other units, from another zero, makes no difference; one that is constant has no say."""
+    process, rng = make(True), np.random.default_rng(6)
+    rows, targets = rng.normal(size=(8, 3)), rng.normal(size=8)
+    factors, offsets = np.array([1e3, 0.01, 1.0]), np.array([5.0, -1.0, 0.0])
+    plain, moved = empty(process), empty(process)
+    for index, (row, target) in enumerate(zip(rows, targets, strict=True)):
+        plain = put(process, plain, row, target, index)
+        moved = put(process, moved, row * factors + offsets, target, index)
+    probes = rng.normal(size=(4, 3))
+    np.testing.assert_allclose(
+        predict(process, moved, probes * factors + offsets), predict(process, plain, probes), atol=1e-10
+    )
