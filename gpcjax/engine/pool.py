@@ -64,8 +64,9 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """A run to begin. Numbers of `learner` and `teacher` may differ between the starts of one pool, their structure
-    may not.
+    """A run to begin.
+
+    Numbers of `learner` and `teacher` may differ between the starts of one pool, their structure may not.
     """
 
     name: Any

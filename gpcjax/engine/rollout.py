@@ -6,8 +6,8 @@ gathers the few lanes that were really corrected, a small group at a time, updat
 back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
 
 A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into a
-block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own `on_full`
-decides.
+block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own
+`on_full` decides.
 """
 
 import dataclasses

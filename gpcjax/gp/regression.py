@@ -178,7 +178,7 @@ class GaussianProcess(eqx.Module):
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:
-    """1 / sigma_m, the inverse standard deviation (ddof 0) of each dimension over the dictionary; 1 if it is constant."""
+    """1 / sigma_m: inverse standard deviation (ddof 0) of each dimension over the dictionary, 1 if it is constant."""
     count = jnp.maximum(active.sum(), 1)
     mask = active[:, None]
     mean = jnp.where(mask, points, 0.0).sum(0) / count

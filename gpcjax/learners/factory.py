@@ -39,7 +39,8 @@ def make_learner(
         **options: `obs_size`, `action_size`, and
             for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
             `scaling` (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`,
-            `sparsify`, `on_full`; for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
+            `sparsify`, `on_full`;
+            for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
 
     Raises:
         ValueError: an unknown name, a missing size, or a value out of its range; the message names it.
@@ -48,7 +49,7 @@ def make_learner(
         raise ValueError(f"algo {algo!r} is not known: choose one of {', '.join(PRESETS)}")
     if env is not None and env not in SIZES:
         raise ValueError(
-            f"env {env!r} has no table: choose one of {', '.join(SIZES)}, or give obs_size and action_size"
+            f"env {env!r} has no table: choose {', '.join(SIZES)}, or give obs_size and action_size"
         )
     values: dict[str, Any] = {}
     if env is not None:

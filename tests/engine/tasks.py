@@ -1,0 +1,193 @@
+"""Small tasks, teachers and learners for the engine, and the plain loop that it must agree with."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from gpcjax.engine import streams
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS, Lane
+from gpcjax.engine.pool import Finished, Pool, Start, Tier
+from gpcjax.envs.base import Env, State, begin, parameter
+from gpcjax.learners.base import Learner, Status
+from gpcjax.learners.factory import make_learner
+from gpcjax.teachers.oracle import Oracle
+
+EPISODES = 4
+ALGORITHMS = ("gpc", "gpc-ns", "coach")
+TIERS = (Tier(4, 4, 4), Tier(8, 8, 3), Tier(8, 16, 5, 2), Tier(64, 64, 2, 1))
+"""Small ones, so that lanes pass through them all; widths and groups that vector instructions do not divide."""
+COACH_TIERS = (Tier(1, 1, 5),)
+
+
+class Drift(Env):
+    """Two unstable coordinates, each with an action of its own; an episode ends where one passes 2.
+
+    With `force` 0 the actions do nothing, so the observations are a recording: every learner, and every rounding
+    error, meets the same ones.
+    """
+
+    force: Float[Array, ""] = eqx.field(default=0.2, converter=parameter)
+    max_steps: int = eqx.field(default=30, static=True)
+
+    name = property(lambda self: "drift")
+    obs_size = property(lambda self: 2)
+    action_size = property(lambda self: 2)
+
+    def reset(self, key: PRNGKeyArray) -> State:
+        start = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
+        return begin(start, start)
+
+    def step(self, state: State, action: Float[Array, "2"]) -> State:
+        at = state.physics
+        push = self.force * jnp.clip(action, -1.0, 1.0)
+        at = jnp.stack([1.06 * at[0] - 0.05 * at[1] + push[0], 1.04 * at[1] + 0.05 * at[0] + push[1]])
+        time = state.time + 1
+        return State(
+            physics=at,
+            obs=at,
+            reward=-(at[0] * at[0] + at[1] * at[1] + 0.1 * push[0]),
+            terminated=(jnp.abs(at[0]) > 2.0) | (jnp.abs(at[1]) > 2.0),
+            truncated=time >= self.max_steps,
+            time=time,
+        )
+
+
+def expert(obs: Float[Array, "2"]) -> Float[Array, "2"]:
+    """What the teacher would do with `Drift`."""
+    return jnp.clip(jnp.stack([-0.9 * obs[0], -0.7 * obs[1] - 0.2 * obs[0]]), -1.0, 1.0)
+
+
+def oracle(rate: float = 0.5, error: float = 0.1, delta: float = 0.02, active_gain: float = 0.0) -> Oracle:
+    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    return Oracle(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+
+
+def learner(algo: str, capacity: int = TIERS[0].policy_capacity, **options: Any) -> Learner:
+    """A learner for `Drift`; its dictionaries begin with room for `capacity` points."""
+    if algo == "coach":
+        grid = {"lower": (-2.0, -2.0), "upper": (2.0, 2.0), "counts": (4, 5)}
+        return make_learner(algo, **{"obs_size": 2, "action_size": 2, **grid, "beta": 3.0, "magnitude": 0.3, **options})
+    kernels = {"policy_length_scale": 0.7, "policy_variance": 0.01, "human_length_scale": 0.3, "human_variance": 0.01}
+    return make_learner(algo, **{"obs_size": 2, "action_size": 2, "capacity": capacity, **kernels, **options})
+
+
+def start(name: Any, learner: Learner, teacher: Oracle, seed: int) -> Start:
+    """With its numbers on the host, as in sweeps."""
+    return Start(name, *jax.tree.map(np.asarray, (learner, teacher)), seed)
+
+
+def starts(algo: str) -> list[Start]:
+    """Runs that differ in seed, teacher and hyperparameters, and so in the tiers that they reach."""
+    free = {"constant_rate": 0.1} if algo != "coach" else {"coach_constant": 0.6}
+    settings: list[tuple[int, dict[str, float], dict[str, float]]] = [
+        (0, {}, {}),
+        (1, {}, {}),
+        (2, {"error": 0.4}, {}),
+        (0, {"rate": 0.9}, {}),
+        (0, {"delta": 0.5}, {}),
+        (5, {"rate": 0.02}, free),
+        (6, {"rate": 1.0, "delta": 0.0}, free),
+    ]
+    return [
+        start(index, learner(algo, **options), oracle(**teaching), seed)
+        for index, (seed, teaching, options) in enumerate(settings)
+    ]
+
+
+def make_pool(env: Env, template: Start, tiers: tuple[Tier, ...], episodes: int = EPISODES) -> Pool:
+    return Pool(env, expert, episodes, template, tiers)
+
+
+def run(pool: Pool, starts: Iterable[Start]) -> dict[Any, Lane]:
+    """Each finished lane by its name."""
+    waiting, finished = iter(starts), list[Finished]()
+    pool.run(lambda: next(waiting, None), finished.append)
+    assert len({each.name for each in finished}) == len(finished)
+    return {each.name: each.lane for each in finished}
+
+
+def kept(lane: Lane) -> dict[str, Any]:
+    """All of a lane but the window of coins that was drawn last: when that is depends on the block."""
+    return {name: value for name, value in vars(lane).items() if name not in ("window", "window_start")}
+
+
+@dataclasses.dataclass
+class Plain:
+    """What a plain loop measured: rows of numbers for each episode, and its corrections."""
+
+    rows: dict[str, np.ndarray]
+    log: dict[str, np.ndarray]
+    status: int
+    state: Any
+
+
+def plain(env: Env, start: Start, capacity: int, episodes: int = EPISODES, grows: bool = True) -> Plain:
+    """One run as anyone would write it: act, ask the teacher, correct, step; every chance worked out at every step."""
+    learner, teacher, seed = jax.tree.map(jnp.asarray, start.learner), start.teacher, start.seed
+    state = learner.init()
+    if capacity and hasattr(learner, "policy_capacity"):
+        state = learner.resize(state, capacity, capacity)
+    names = ("returns", "length", "corrections", "rate_sum", "policy_points", "human_points", "clipped", "full")
+    rows = {name: np.zeros(episodes) for name in names}
+    log: dict[str, list] = {"where": [], "values": [], "outcome": []}
+    status = Status.OK
+    for episode in range(episodes):
+        at = reset(env, streams.start_key(seed, episode))
+        while not at.done and status == Status.OK:
+            step = int(at.time)
+            action, clipped, h = propose(learner, teacher, state, at.obs, streams.coin_key(seed, episode, step))
+            if np.any(h != 0):
+                state, info = learner.correct(state, at.obs, action, h)
+                status = Status(int(info.status))
+                for i in np.flatnonzero(h):
+                    log["where"].append((episode, step, i))
+                    log["values"].append([values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)])
+                    log["outcome"].append([values[i] for values in (info.appended, info.replaced, info.full)])
+                    refused = bool(info.full[i]) and status == Status.FULL
+                    rows["corrections"][episode] += not refused
+                    rows["rate_sum"][episode] += 0.0 if refused else info.rate[i]
+                    rows["full"][episode] += bool(info.full[i])
+            at = advance(env, at, action)
+            rows["returns"][episode] += at.reward
+            rows["clipped"][episode] += bool(clipped)
+        rows["length"][episode] = at.time
+        rows["policy_points"][episode], rows["human_points"][episode] = learner.points(state)
+        if not (np.isfinite(rows["returns"][episode]) and np.isfinite(at.obs).all()):
+            status = Status.NON_FINITE
+        if status != Status.OK:
+            break
+    arrays = {name: np.asarray(values[:LOGGED_CORRECTIONS]) for name, values in log.items()}
+    return Plain(rows, arrays, int(status), state)
+
+
+@eqx.filter_jit
+def reset(env: Env, key: PRNGKeyArray) -> State:
+    return env.reset(key)
+
+
+@eqx.filter_jit
+def advance(env: Env, state: State, action: Array) -> State:
+    return env.step(state, action)
+
+
+@eqx.filter_jit
+def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, key: PRNGKeyArray) -> tuple:
+    """The action, whether it was clipped, and the advice on it: Alg. 4 with the chance of (3.6), worked out at once."""
+    proposed = learner.controller(state)(obs)
+    action = jnp.clip(proposed, -1.0, 1.0)
+    coins = jax.random.uniform(key, action.shape)
+    chance = jnp.broadcast_to(teacher.rate, action.shape)
+    if teacher.active:
+        chance = jnp.minimum(teacher.active_gain * learner.uncertainty(state, obs, action) + chance, 1.0)
+    gap = expert(obs) - action
+    sign = jnp.sign(gap) * (jnp.abs(gap) > teacher.delta)
+    h = jnp.where(coins < chance, sign, 0.0) * jnp.where(coins < chance * teacher.error, -1.0, 1.0)
+    return action, (jnp.abs(proposed) > 1.0).any(), h
