@@ -152,8 +152,8 @@ def fresh(env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], ep
         episode=zero,
         phase=jnp.asarray(Phase.RUNNING, jnp.int32),
         status=zero,
-        window_start=zero,
-        window=coin_window(teacher, learner, seed, zero, zero),
+        window_start=jnp.asarray(-WINDOW, jnp.int32),  # void: the first round draws one
+        window=jnp.zeros((), jnp.uint32),
         waiting=jnp.zeros((), bool),
         action=jnp.zeros(learner.action_size),
         tally=empty_tally(),

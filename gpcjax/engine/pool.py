@@ -25,6 +25,9 @@ from gpcjax.teachers.base import Teacher
 CHUNK_SECONDS = 0.05
 """About how long the compiled program runs between two looks of the host."""
 
+MOST_ROUNDS = 4096
+"""Rounds between two looks at most: a chunk that ends early, because no lane runs any more, tells nothing of their length."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Tier:
@@ -33,17 +36,16 @@ class Tier:
     policy_capacity: int
     human_capacity: int
     lanes: int
-    group: int = 8
+    group: int = 2
 
 
 TIERS = (
-    Tier(32, 32, 64),
     Tier(64, 64, 64),
-    Tier(64, 128, 64),
-    Tier(128, 256, 32, 4),
-    Tier(256, 512, 16, 2),
-    Tier(512, 1024, 8, 1),
-    Tier(1024, 1024, 4, 1),
+    Tier(96, 128, 64),
+    Tier(128, 256, 32),
+    Tier(256, 512, 16),
+    Tier(512, 1024, 8),
+    Tier(1024, 1024, 4),
 )
 """Human models only append and outgrow policies, which SPARS keeps small. Widths: see benchmarks/README.md."""
 
@@ -53,7 +55,7 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
     largest, beyond = TIERS[-1].policy_capacity, list[Tier]()
     while largest < max_capacity:
         largest *= 2
-        beyond.append(Tier(largest, largest, 4, 1))
+        beyond.append(Tier(largest, largest, 4))
     chosen: list[Tier] = []
     for tier in (*TIERS, *beyond):
         policy, human = min(tier.policy_capacity, max_capacity), min(tier.human_capacity, max_capacity)
@@ -220,7 +222,7 @@ class _Block:
         self._rounds = int(
             np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds)
         )
-        self._rounds = max(self._rounds, 4)
+        self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._pool.counters.chunks += 1
         leaving = [place for place in self.names if phases[place] != Phase.RUNNING]
         result = [(self.names.pop(place), self._take(place)) for place in leaving]

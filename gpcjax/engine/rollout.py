@@ -74,19 +74,15 @@ class Loop(eqx.Module):
             block.phase == Phase.RUNNING
         )
         window, start = lax.cond(
-            due.any(),
-            lambda: self._windows(block, block.episode, block.env.time),
-            lambda: (block.window, block.window_start),
+            due.any(), lambda: self._windows(block), lambda: (block.window, block.window_start)
         )
         return dataclasses.replace(block, window=window, window_start=start)
 
-    def _windows(
-        self, block: Lane, episode: Int[Array, " lanes"], start: Int[Array, " lanes"]
-    ) -> tuple[UInt32[Array, " lanes"], Int[Array, " lanes"]]:
+    def _windows(self, block: Lane) -> tuple[UInt32[Array, " lanes"], Int[Array, " lanes"]]:
         window = jax.vmap(coin_window, in_axes=(-1, 0, -1, -1, -1))(
-            block.teacher, block.learner, block.seed, episode, start
+            block.teacher, block.learner, block.seed, block.episode, block.env.time
         )
-        return window, start
+        return window, block.env.time
 
     def _step(self, block: Lane) -> Lane:
         """A few steps of every running lane, up to its next coin or the end of its episode."""
@@ -220,8 +216,10 @@ class Loop(eqx.Module):
 
         def one(loop: tuple[Bool[Array, " lanes"], PyTree]) -> tuple[Bool[Array, " lanes"], PyTree]:
             pending, carry = loop
-            (chosen,) = jnp.nonzero(pending, size=self.group, fill_value=lanes)
-            return pending.at[chosen].set(False, mode="drop"), body(chosen, carry)
+            rank = jnp.cumsum(pending) - 1
+            wanted = (rank[None] == jnp.arange(self.group)[:, None]) & pending[None]
+            chosen = jnp.where(wanted.any(1), wanted.argmax(1), lanes).astype(jnp.int32)
+            return pending & (rank >= self.group), body(chosen, carry)
 
         return lax.while_loop(lambda loop: loop[0].any(), one, (pending, carry))[1]
 
@@ -236,7 +234,7 @@ class Loop(eqx.Module):
         over = block.env.done & (block.phase == Phase.RUNNING)
         stopped = (block.phase == Phase.FINISHED) & (block.episode < self.episodes)
         # The condition guards small arrays only: a matrix that passes through it might be copied.
-        names = ("env", "tally", "rows", "episode", "phase", "status", "window", "window_start")
+        names = ("env", "tally", "rows", "episode", "phase", "status", "window_start")
         values = lax.cond(
             (over | stopped).any(),
             lambda: self._end_episodes(block, over, stopped),
@@ -275,12 +273,17 @@ class Loop(eqx.Module):
         )
         env = jax.tree.map(lambda new, old: jnp.where(begins, new, old), start, block.env)
         phase = jnp.where(finished, jnp.int32(Phase.FINISHED), block.phase)
-        window, start = self._windows(block, episode, env.time)
-        return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window, start
+        # A window of the last episode is void: the next round draws another.
+        window_start = jnp.where(begins, -WINDOW, block.window_start)
+        return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window_start
 
 
 def _take(tree: PyTree, chosen: Int[Array, " group"], axis: int) -> PyTree:
-    return jax.tree.map(lambda leaf: jnp.take(leaf, chosen, axis=axis, mode="clip"), tree)
+    def take(leaf: Array) -> Array:
+        index = jnp.minimum(chosen, leaf.shape[axis] - 1)  # what stands for a missing lane is computed and dropped
+        return leaf.at[(index,) if axis == 0 else (..., index)].get(mode="promise_in_bounds")
+
+    return jax.tree.map(take, tree)
 
 
 def _put(tree: PyTree, chosen: Int[Array, " group"], values: PyTree, axis: int) -> PyTree:

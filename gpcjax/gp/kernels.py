@@ -4,7 +4,10 @@ Notation: c is the signal variance, l the length-scale, nu the smoothness, r the
 that the caller has already scaled per dimension.
 """
 
+import functools
 import math
+import operator
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -63,11 +66,17 @@ class Kernel(eqx.Module):
 
         Distances come from differences: the dot-product form loses half of the digits for near repeats.
         """
-        difference = (points - point[None]) * (scale * self.inverse_length)[None]
-        return self.variance * correlation((difference * difference).sum(1), self.smoothness)
+        factor = scale * self.inverse_length
+        squared = _sum_of_squares((points[:, i] - point[i]) * factor[i] for i in range(points.shape[1]))
+        return self.variance * correlation(squared, self.smoothness)
 
     def gram(self, points: Float[Array, "n d"], scale: Float[Array, " d"]) -> Float[Array, "n n"]:
         """k(x_i, x_j) for all pairs of rows."""
-        scaled = points * (scale * self.inverse_length)[None]
-        difference = scaled[:, None] - scaled[None]
-        return self.variance * correlation((difference * difference).sum(2), self.smoothness)
+        columns = (points * (scale * self.inverse_length)[None]).T
+        squared = _sum_of_squares(column[:, None] - column[None] for column in columns)
+        return self.variance * correlation(squared, self.smoothness)
+
+
+def _sum_of_squares(differences: Iterable[Float[Array, "*shape"]]) -> Float[Array, "*shape"]:
+    """Added up term by term: a reduction over a short last axis would not vectorise on a CPU."""
+    return functools.reduce(operator.add, (difference * difference for difference in differences))

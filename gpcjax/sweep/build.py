@@ -15,8 +15,8 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.teachers.oracle import Advisor, Oracle
 
-COACH_LANES = 64
-"""Width of the one block that COACH needs: it has no dictionary."""
+COACH_TIER = Tier(1, 1, lanes=64, group=8)
+"""The one block that COACH needs: it has no dictionary."""
 
 _TEACHING = ("active_gain",)
 """Hyperparameters of the teacher, not of the learner."""
@@ -95,4 +95,4 @@ def _oracle(rate: float, error: float, delta: float, active_gain: float) -> Orac
 
 
 def _tiers(program: Program) -> Sequence[Tier]:
-    return (Tier(1, 1, COACH_LANES),) if program.algo == "coach" else tiers(program.max_capacity)
+    return (COACH_TIER,) if program.algo == "coach" else tiers(program.max_capacity)

@@ -22,7 +22,7 @@ from gpcjax.teachers.oracle import Oracle
 
 EPISODES = 4
 ALGORITHMS = ("gpc", "gpc-ns", "coach")
-TIERS = (Tier(4, 4, 4), Tier(8, 8, 3), Tier(8, 16, 5, 2), Tier(64, 64, 2, 1))
+TIERS = (Tier(4, 4, 4), Tier(8, 16, 5, 2), Tier(64, 64, 3, 1))
 """Small ones, so that lanes pass through them all; widths and groups that vector instructions do not divide."""
 COACH_TIERS = (Tier(1, 1, 5),)
 
@@ -30,12 +30,13 @@ COACH_TIERS = (Tier(1, 1, 5),)
 class Drift(Env):
     """Two unstable coordinates, each with an action of its own; an episode ends where one passes 2.
 
-    With `force` 0 the actions do nothing, so the observations are a recording: every learner, and every rounding
-    error, meets the same ones.
+    With `force` 0 the actions move nothing, so the observations are a recording: they are the same for every learner,
+    whatever its rounding errors. From step `fails_at` on, a start on the right side is not a number.
     """
 
     force: Float[Array, ""] = eqx.field(default=0.2, converter=parameter)
     max_steps: int = eqx.field(default=30, static=True)
+    fails_at: int = eqx.field(default=1000, static=True)
 
     name = property(lambda self: "drift")
     obs_size = property(lambda self: 2)
@@ -46,14 +47,15 @@ class Drift(Env):
         return begin(start, start)
 
     def step(self, state: State, action: Float[Array, "2"]) -> State:
-        at = state.physics
-        push = self.force * jnp.clip(action, -1.0, 1.0)
+        at, time = state.physics, state.time + 1
+        action = jnp.clip(action, -1.0, 1.0)
+        push = self.force * action
         at = jnp.stack([1.06 * at[0] - 0.05 * at[1] + push[0], 1.04 * at[1] + 0.05 * at[0] + push[1]])
-        time = state.time + 1
+        at = jnp.where((time == self.fails_at) & (at[0] > 0.0), jnp.nan, at)
         return State(
             physics=at,
             obs=at,
-            reward=-(at[0] * at[0] + at[1] * at[1] + 0.1 * push[0]),
+            reward=-(at[0] * at[0] + at[1] * at[1] + 0.1 * action[0]),
             terminated=(jnp.abs(at[0]) > 2.0) | (jnp.abs(at[1]) > 2.0),
             truncated=time >= self.max_steps,
             time=time,
@@ -65,9 +67,10 @@ def expert(obs: Float[Array, "2"]) -> Float[Array, "2"]:
     return jnp.clip(jnp.stack([-0.9 * obs[0], -0.7 * obs[1] - 0.2 * obs[0]]), -1.0, 1.0)
 
 
-def oracle(rate: float = 0.5, error: float = 0.1, delta: float = 0.02, active_gain: float = 0.0) -> Oracle:
-    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
-    return Oracle(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+def oracle(kind: type[Oracle] = Oracle, **changes: float) -> Oracle:
+    numbers = {"rate": 0.5, "error": 0.1, "delta": 0.02, "active_gain": 0.0} | changes
+    active = numbers["active_gain"] > 0
+    return kind(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active)
 
 
 def learner(algo: str, capacity: int = TIERS[0].policy_capacity, **options: Any) -> Learner:
@@ -129,12 +132,13 @@ class Plain:
     state: Any
 
 
-def plain(env: Env, start: Start, capacity: int, episodes: int = EPISODES, grows: bool = True) -> Plain:
-    """One run as anyone would write it: act, ask the teacher, correct, step; every chance worked out at every step."""
+def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain:
+    """One run as anyone would write it: act, ask the teacher, correct, step; every chance worked out at every step.
+
+    The dictionaries have the room of `tier` from the start.
+    """
     learner, teacher, seed = jax.tree.map(jnp.asarray, start.learner), start.teacher, start.seed
-    state = learner.init()
-    if capacity and hasattr(learner, "policy_capacity"):
-        state = learner.resize(state, capacity, capacity)
+    state = learner.resize(learner.init(), tier.policy_capacity, tier.human_capacity)
     names = ("returns", "length", "corrections", "rate_sum", "policy_points", "human_points", "clipped", "full")
     rows = {name: np.zeros(episodes) for name in names}
     log: dict[str, list] = {"where": [], "values": [], "outcome": []}

@@ -1,0 +1,139 @@
+"""The batched loop against a plain one, on recorded observations: there rounding errors do not grow, so all is compared."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS
+from gpcjax.engine.pool import Tier
+from gpcjax.learners.base import Status
+from gpcjax.teachers.oracle import Oracle
+from tests.engine.tasks import EPISODES, Drift, kept, learner, make_pool, oracle, plain, run, start
+from tests.trees import assert_same_bits
+
+RECORDED = Drift(force=0.0)
+TOLERANCE = 1e-8
+
+
+def agrees(lane, expected, tolerance=TOLERANCE):
+    """Rows, corrections, status and the policy that was learned."""
+    assert lane.status == expected.status
+    for name, values in expected.rows.items():
+        np.testing.assert_allclose(getattr(lane.rows, name), values, atol=tolerance, rtol=0, err_msg=name)
+    assert lane.log.count == len(expected.log["where"])
+    for name, values in expected.log.items():
+        got = getattr(lane.log, name)
+        np.testing.assert_allclose(got[: len(values)], values, atol=tolerance, rtol=0, err_msg=name)
+        assert not got[len(values) :].any()
+    lane = jax.tree.map(jnp.asarray, lane)
+    idle, learned = lane.learner.controller(lane.learner.init()), lane.learner.controller(lane.state)
+    for obs in jnp.asarray([[0.3, -0.2], [-1.0, 0.5]]):
+        np.testing.assert_allclose(learned(obs), lane.controller(obs), atol=1e-12)
+        np.testing.assert_allclose(learned(obs), lane.learner.controller(expected.state)(obs), atol=tolerance)
+        assert np.abs(learned(obs) - idle(obs)).max() > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("algo", "tier"), [("gpc", Tier(64, 192, 3, 2)), ("gpc-ns", Tier(64, 192, 3, 2)), ("coach", Tier(1, 1, 3))]
+)
+def test_against_a_plain_loop(algo, tier):
+    """With usual, wrong, quiet and busy teachers."""
+    settings = [(3, {}), (3, {"error": 0.5}), (4, {"rate": 0.2, "delta": 0.3}), (5, {"rate": 1.0, "delta": 0.0})]
+    starts = [
+        start(index, learner(algo, capacity=tier.policy_capacity), oracle(**teaching), seed)
+        for index, (seed, teaching) in enumerate(settings)
+    ]
+    lanes = run(make_pool(RECORDED, starts[0], (tier,), episodes=6), starts)
+    for each in starts:
+        agrees(lanes[each.name], plain(RECORDED, each, tier, episodes=6))
+    # The log is full where the teacher is busy, and goes no further.
+    busy = lanes[3]
+    assert busy.log.count == LOGGED_CORRECTIONS < busy.rows.corrections.sum()
+    assert lanes[1].rows.clipped.sum() > 0
+
+
+class TestFull:
+    """What a dictionary does that is full in the largest tier: nothing of it is silent."""
+
+    TIER = Tier(3, 8, 3, 2)
+
+    def lane(self, on_full):
+        each = start(0, learner("gpc", capacity=3, on_full=on_full), oracle(rate=0.8, delta=0.0), 2)
+        lane = run(make_pool(RECORDED, each, (self.TIER,)), [each])[0]
+        agrees(lane, plain(RECORDED, each, self.TIER))
+        return lane
+
+    def test_error_ends_the_run(self):
+        lane = self.lane("error")
+        assert lane.status == Status.FULL
+        last = np.flatnonzero(lane.rows.length).max()
+        assert last < EPISODES - 1
+        assert lane.rows.full[last] > 0 and not lane.rows.full[:last].any()
+        # The refused corrections are in the log, and are not counted as learned.
+        refused = lane.log.outcome[: lane.log.count, 2]
+        assert refused.sum() == lane.rows.full.sum() and not refused[: -2].any()
+        assert lane.rows.corrections.sum() + refused.sum() == lane.log.count
+        assert not lane.log.outcome[: lane.log.count][refused][:, :2].any()
+
+    @pytest.mark.parametrize("on_full", ["replace-nearest", "drop"])
+    def test_the_others_go_on(self, on_full):
+        lane = self.lane(on_full)
+        assert lane.status == Status.OK and (lane.rows.length > 0).all()
+        assert lane.rows.full[1:].all()
+        assert (lane.state.policy.count <= 3).all() and (lane.state.human.count == 8).all()
+        full = lane.log.outcome[: lane.log.count, 2]
+        assert full.sum() == lane.rows.full.sum()
+        appended = lane.log.outcome[: lane.log.count, 0]
+        assert appended.sum() == lane.state.policy.count.sum()
+
+
+class Always(Oracle):
+    """Works out the chance at every step: thinning must not be seen."""
+
+    def may_advise(self, coins, largest_sigma):
+        return jnp.ones_like(coins, bool)
+
+
+def test_active_learning():
+    """Thinning changes nothing, to the bit; and a plain loop, which knows nothing of it, agrees."""
+    lanes, tier = [], Tier(64, 64, 3, 2)
+    for kind in (Oracle, Always):
+        teacher = oracle(kind, rate=0.02, delta=0.0, error=0.1, active_gain=6.0)
+        each = start("active", learner("gpc", capacity=64), teacher, 1)
+        lanes.append(run(make_pool(RECORDED, each, (tier,)), [each])["active"])
+    thinned, always = ({**kept(lane), "teacher": None} for lane in lanes)
+    assert_same_bits(thinned, always)
+    agrees(lanes[0], plain(RECORDED, each, tier))
+    # Advice grows rare where advice was given: the chance falls with sigma_h.
+    corrections, length = lanes[0].rows.corrections, lanes[0].rows.length
+    assert corrections[0] / length[0] > corrections[-1] / length[-1] > 0
+
+
+def test_broken_physics_end_with_a_status():
+    """At step 7 of the first episode that goes to the right; the learner keeps what it knew."""
+    env, tier = Drift(force=0.0, fails_at=7), Tier(1, 1, 3)
+    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(8)]
+    lanes = run(make_pool(env, starts[0], (tier,)), starts)
+    ends = set()
+    for each in starts:
+        lane = lanes[each.name]
+        agrees(lane, plain(env, each, tier))
+        assert lane.status == Status.NON_FINITE and np.isfinite(lane.controller.weights).all()
+        last = np.flatnonzero(lane.rows.length).max()
+        assert np.isnan(lane.rows.returns[last]) and np.isfinite(lane.rows.returns[:last]).all()
+        ends.add(int(last))
+    assert len(ends) > 1
+
+
+def test_a_correction_that_is_not_finite_stops_the_run_there():
+    each = start(0, learner("coach"), oracle(), 0)
+    infinite = eqx.tree_at(lambda learner: learner.magnitude, each.learner, np.full(2, np.inf))
+    each = dataclasses.replace(each, learner=infinite)
+    lane = run(make_pool(RECORDED, each, (Tier(1, 1, 3),)), [each])[0]
+    assert lane.status == Status.NON_FINITE
+    assert lane.rows.length[0] == lane.log.where[0, 1] + 1
+    assert not lane.rows.length[1:].any() and not lane.controller.weights.any()

@@ -1,0 +1,59 @@
+"""Random streams are functions of (seed, stream, episode, step)."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gpcjax.engine import streams
+from gpcjax.teachers.base import Teacher
+
+
+def bits(key) -> tuple[int, ...]:
+    return tuple(np.asarray(jax.random.key_data(key)).ravel().tolist())
+
+
+def test_no_two_draws_share_a_key():
+    """Seeds, episodes, steps and the two streams: small numbers, whose sums and products collide a lot."""
+    small = range(6)
+    starts = [bits(streams.start_key(*place)) for place in itertools.product(small, small)]
+    coins = [bits(streams.coin_key(*place)) for place in itertools.product(small, small, small)]
+    assert len(set(starts + coins)) == len(starts) + len(coins)
+
+
+def test_the_same_place_means_the_same_key():
+    """As Python numbers, traced, or in a batch."""
+    place = (7, 3, 1234)
+    expected = bits(streams.coin_key(*place))
+    traced = (jnp.asarray(7), jnp.asarray(3, jnp.int32), jnp.asarray(1234, jnp.int32))
+    assert bits(jax.jit(streams.coin_key)(*traced)) == expected
+    batch = jax.vmap(streams.coin_key)(jnp.array([1, 7]), jnp.array([0, 3]), jnp.array([9, 1234]))
+    assert bits(batch[1]) == expected
+    assert bits(jax.jit(streams.start_key)(*traced[:2])) == bits(streams.start_key(7, 3))
+
+
+def test_seeds_up_to_the_largest_that_a_sweep_takes_differ():
+    seeds = jnp.concatenate([jnp.arange(2000), jnp.array([999_999, 1_000_000])])
+    keys = jax.random.key_data(jax.vmap(lambda seed: streams.start_key(seed, 0))(seeds))
+    assert len(np.unique(keys, axis=0)) == len(seeds)
+
+
+def test_coins_are_uniform_and_independent():
+    """Of their neighbours in every direction, and of the other action dimension."""
+    seed, episode, step = jnp.meshgrid(jnp.arange(20), jnp.arange(10), jnp.arange(100), indexing="ij")
+    draw = jax.vmap(lambda *place: Teacher.coins(streams.coin_key(*place), 2))
+    coins = np.asarray(draw(seed.ravel(), episode.ravel(), step.ravel())).reshape(20, 10, 100, 2)
+    assert ((coins >= 0) & (coins < 1)).all()
+    counts = np.histogram(coins, bins=20, range=(0, 1))[0] / coins.size
+    np.testing.assert_allclose(counts, 0.05, atol=0.005)
+    for axis in range(4):
+        here, next_to_it = (np.take(coins, range(*part), axis) for part in ((0, coins.shape[axis] - 1), (1, coins.shape[axis])))
+        assert abs(np.corrcoef(here.ravel(), next_to_it.ravel())[0, 1]) < 0.03
+
+
+def test_starts_and_coins_of_one_place_are_independent():
+    place = (jnp.repeat(jnp.arange(100), 30), jnp.tile(jnp.arange(30), 100))
+    start = jax.vmap(lambda *p: jax.random.uniform(streams.start_key(*p)))(*place)
+    coin = jax.vmap(lambda *p: jax.random.uniform(streams.coin_key(*p, 0)))(*place)
+    assert abs(np.corrcoef(start, coin)[0, 1]) < 0.07
