@@ -83,11 +83,11 @@ class COACH(Learner):
         rate = alpha * self.magnitude * (features * features).sum()
         finite = jnp.isfinite(rate)
         learns = given & finite
-        human_step = jnp.where(learns, self.beta * (advice - estimate), 0.0)  # line 8
-        policy_step = jnp.where(learns, alpha * advice * self.magnitude, 0.0)  # line 11
+        human_step = self.beta * (advice - estimate)  # line 8
+        policy_step = alpha * advice * self.magnitude  # line 11
         state = COACHState(
-            policy=state.policy + each(policy_step) * features,
-            human=state.human + each(human_step) * features,
+            policy=jnp.where(each(learns), state.policy + each(policy_step) * features, state.policy),
+            human=jnp.where(each(learns), state.human + each(human_step) * features, state.human),
         )
         none = jnp.zeros(self.action_size, bool)
         info = Info(

@@ -96,20 +96,20 @@ def _gpc(
     *,
     obs_size: int,
     action_size: int,
-    policy_variance: float,
-    policy_length_scale: float,
-    policy_nu: float,
-    human_variance: float,
-    human_length_scale: float,
-    constant_rate: float,
-    static_rate: float | None = None,
-    noise: float = DEFAULT_NOISE,
+    policy_variance: Any,
+    policy_length_scale: Any,
+    policy_nu: Any,
+    human_variance: Any,
+    human_length_scale: Any,
+    constant_rate: Any,
+    static_rate: Any = None,
+    noise: Any = DEFAULT_NOISE,
     scaling: Any = None,
     sparsify: bool = True,
     on_full: str = "error",
-    capacity: int = DEFAULT_CAPACITY,
-    policy_capacity: int | None = None,
-    human_capacity: int | None = None,
+    capacity: Any = DEFAULT_CAPACITY,
+    policy_capacity: Any = None,
+    human_capacity: Any = None,
 ) -> GPC:
     if on_full not in ON_FULL:
         raise ValueError(f"on_full {on_full!r} is not known: choose one of {', '.join(ON_FULL)}")
@@ -172,30 +172,39 @@ def _coach(
         )
     return COACH(
         grid=Grid(lower=lower, upper=upper, counts=counts),
-        beta=_vector("beta", beta, action_size),
-        magnitude=_vector("magnitude", magnitude, action_size),
-        constant=_vector("coach_constant", coach_constant, action_size),
+        beta=_vector("beta", beta, action_size, "positive"),
+        magnitude=_vector("magnitude", magnitude, action_size, "positive"),
+        constant=_vector("coach_constant", coach_constant, action_size, "non-negative"),
         obs_size=obs_size,
         action_size=action_size,
     )
 
 
 def _number(name: str, value: Any, positive: bool = False) -> Any:
-    number = float(value)
+    number = _float(value)
     if not math.isfinite(number) or number < 0 or (positive and number == 0):
         raise ValueError(f"{name} {value!r}: give a {'positive' if positive else 'non-negative'} number")
     return jnp.asarray(number, float)
 
 
-def _vector(name: str, value: Any, size: int) -> Any:
-    array = np.asarray(value, float)
-    array = np.full(size, array) if array.ndim == 0 else array
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise ValueError(f"{name} {value!r}: give one finite number, or {size} of them")
+def _vector(name: str, value: Any, size: int, kind: str = "finite") -> Any:
+    array = _float(value) if np.ndim(value) == 0 else np.array([_float(each) for each in value])
+    array = np.full(size, array) if np.ndim(array) == 0 else array
+    inside = {"finite": array > -np.inf, "positive": array > 0, "non-negative": array >= 0}[kind]
+    if array.shape != (size,) or not (np.isfinite(array) & inside).all():
+        raise ValueError(f"{name} {value!r}: give one {kind} number, or {size} of them")
     return jnp.asarray(array)
 
 
+def _float(value: Any) -> float:
+    """Not a number where `value` is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def _size(name: str, value: Any) -> int:
-    if isinstance(value, bool) or int(value) != value or value < 1:
+    if isinstance(value, bool | str) or not _float(value).is_integer() or value < 1:
         raise ValueError(f"{name} {value!r}: give a whole number of at least 1")
     return int(value)

@@ -21,6 +21,7 @@ from gpcjax.policies.grid import Grid, GridController
 from gpcjax.policies.kernel import KernelController
 
 FORMAT = 1
+_KINDS = ("kernel", "grid")
 
 
 def save_controller(path: str | os.PathLike[str], controller: Controller, provenance: dict[str, Any]) -> None:
@@ -63,8 +64,12 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     path = Path(path)
     card = load_card(path)
     shapes = {name: np.zeros(shape) for name, shape in card["arrays"].items()}
-    with _checkpointer() as checkpointer:
-        arrays = checkpointer.restore((path / "arrays").absolute(), shapes)
+    try:
+        with _checkpointer() as checkpointer:
+            arrays = checkpointer.restore((path / "arrays").absolute(), shapes)
+    except (OSError, ValueError, KeyError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise ValueError(f"{path / 'arrays'}: the arrays of this policy cannot be read ({reason})") from None
     return Policy(_controller(card, {name: jnp.asarray(value) for name, value in arrays.items()}))
 
 
@@ -80,6 +85,8 @@ def load_card(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise ValueError(f"{file}: this is not a policy's card ({error})") from None
     if version != FORMAT:
         raise ValueError(f"{file}: format {version!r} is not known, this version reads {FORMAT}")
+    if card.get("kind") not in _KINDS or not isinstance(card.get("arrays"), dict):
+        raise ValueError(f"{file}: this is not a policy's card (it needs arrays, and as kind {' or '.join(_KINDS)})")
     return card
 
 

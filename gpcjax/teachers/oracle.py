@@ -1,6 +1,6 @@
 """The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -65,16 +65,16 @@ class Advisor(ByIdentity):
     expert: Callable[[Float[Array, " obs"]], Float[Array, " action"]]
     oracle: Oracle
 
-    def target(self, obs: Real[ArrayLike, " obs"]) -> Float[Array, " action"]:
+    def target(self, obs: Real[ArrayLike, " obs"] | Sequence[float]) -> Float[Array, " action"]:
         """The expert's action at `obs`."""
         return self.expert(jnp.asarray(obs, float))
 
     def advise(
         self,
         key: PRNGKeyArray,
-        obs: Real[ArrayLike, " obs"],
-        action: Real[ArrayLike, " action"],
-        sigma_human: Real[ArrayLike, " action"] | None = None,
+        obs: Real[ArrayLike, " obs"] | Sequence[float],
+        action: Real[ArrayLike, " action"] | Sequence[float],
+        sigma_human: Real[ArrayLike, " action"] | Sequence[float] | None = None,
     ) -> Float[Array, " action"]:
         """H (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
 

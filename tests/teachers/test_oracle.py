@@ -1,0 +1,161 @@
+"""The synthesised teacher: Alg. 4 with the active-learning chance (3.6)."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gpcjax.envs.registry import make_expert
+from gpcjax.sweep.build import make_oracle
+from gpcjax.teachers.oracle import Advisor, Oracle
+
+DRAWS = 200_000
+
+
+def make(rate=0.3, error=0.0, delta=0.05, active_gain=0.0) -> Oracle:
+    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    return Oracle(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+
+
+def coins(seed=0, size=2) -> jax.Array:
+    """[size, DRAWS]: the draws stand for lanes."""
+    return jax.random.uniform(jax.random.key(seed), (size, DRAWS))
+
+
+def advise(oracle, coins, gap=1.0, sigma=0.0):
+    """Advice of lanes whose target is `gap` above the action."""
+    shaped = lambda value: jnp.broadcast_to(jnp.asarray(value, float), coins.shape)  # noqa: E731
+    lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, coins.shape[1:]), oracle)
+    return np.asarray(lanes.advise(coins, shaped(0.0), shaped(gap), shaped(sigma)))
+
+
+def near(count, probability, draws):
+    """Within five standard deviations of a binomial."""
+    assert abs(count - probability * draws) < 5 * np.sqrt(draws * probability * (1 - probability)) + 1e-9
+
+
+@pytest.mark.parametrize(("rate", "error"), list(itertools.product([0.0, 0.05, 0.5, 1.0], [0.0, 0.1, 0.5, 1.0])))
+def test_frequencies_of_algorithm_4(rate, error):
+    """Advice with chance gamma, of which a share e is wrong: in each action dimension."""
+    h = advise(make(rate=rate, error=error), coins())
+    for row in h:
+        near((row != 0).sum(), rate, DRAWS)
+        near((row == -1).sum(), rate * error, DRAWS)
+        near((row == 1).sum(), rate * (1 - error), DRAWS)
+
+
+def test_the_sign_is_that_of_the_gap():
+    oracle = make(rate=1.0)
+    for gap in (0.06, 0.5, 1.9):
+        assert (advise(oracle, coins(), gap) == 1).all() and (advise(oracle, coins(), -gap) == -1).all()
+    wrong = make(rate=1.0, error=1.0)
+    assert (advise(wrong, coins(), 0.5) == -1).all() and (advise(wrong, coins(), -0.5) == 1).all()
+
+
+@pytest.mark.parametrize("delta", [0.0, 0.05, 0.3])
+def test_within_delta_it_is_silent(delta):
+    """Also where an error would have been made."""
+    oracle = make(rate=1.0, error=0.5, delta=delta)
+    for gap in (0.0, delta, -delta, 0.99 * delta):
+        assert not advise(oracle, coins(), gap).any()
+    for gap in (delta + 1e-12, -delta - 1e-12):
+        assert advise(oracle, coins(), gap).all()
+
+
+def test_no_advice_on_what_is_not_a_number():
+    assert not advise(make(rate=1.0), coins(), np.nan).any()
+
+
+def test_dimensions_are_independent():
+    """Each draws its own feedback, and its own error (section 5.1.3)."""
+    h = advise(make(rate=0.4, error=0.3), coins())
+    for first, second in itertools.product([-1, 0, 1], repeat=2):
+        chance = {-1: 0.12, 0: 0.6, 1: 0.28}
+        near(((h[0] == first) & (h[1] == second)).sum(), chance[first] * chance[second], DRAWS)
+
+
+def test_lanes_may_have_their_own_numbers():
+    """One lane that is never heard, one always right, one always wrong."""
+    oracle = Oracle(
+        rate=jnp.array([0.0, 1.0, 1.0]),
+        error=jnp.array([0.0, 0.0, 1.0]),
+        delta=jnp.array([0.0, 0.0, 0.0]),
+        active_gain=jnp.zeros(3),
+        active=False,
+    )
+    h = oracle.advise(jnp.full((2, 3), 0.5), jnp.zeros((2, 3)), jnp.ones((2, 3)), jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(h, [[0, 1, -1]] * 2)
+
+
+class TestActive:
+    oracle = make(rate=0.05, error=0.2, active_gain=2.0)
+
+    def test_the_chance_grows_with_the_uncertainty(self):
+        """gamma = c_a sigma_h + gamma_c, at most 1."""
+        sigma = jnp.array([0.0, 0.1, 0.4, 3.0])
+        np.testing.assert_allclose(self.oracle.chance(sigma), [0.05, 0.25, 0.85, 1.0], rtol=1e-15)
+        for value, gamma in ((0.0, 0.05), (0.1, 0.25), (3.0, 1.0)):
+            h = advise(self.oracle, coins(), sigma=value)
+            near((h != 0).sum(), gamma, h.size)
+            near((h == -1).sum(), 0.2 * gamma, h.size)
+
+    def test_without_gain_uncertainty_is_not_looked_at(self):
+        np.testing.assert_array_equal(make(rate=0.3).chance(jnp.array([0.0, 5.0, jnp.nan])), 0.3)
+
+    def test_thinning_is_exact(self):
+        """No coin that may_advise turns down could have brought advice, at any uncertainty up to the bound."""
+        largest = 0.3
+        lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (DRAWS,)), self.oracle)
+        for bound in (largest, 0.0):
+            may = np.asarray(lanes.may_advise(coins(), jnp.full(DRAWS, bound)))
+            near(may.sum(), 0.05 + 2 * bound, may.size)
+            for sigma in np.linspace(0.0, bound, 4):
+                assert not advise(self.oracle, coins(), sigma=sigma)[~may].any()
+            np.testing.assert_array_equal(advise(self.oracle, coins(), sigma=bound) != 0, may)
+
+
+class TestAdvisor:
+    """The oracle of a task, as a person uses it."""
+
+    def test_it_works_out_the_target(self):
+        advisor = make_oracle("cartpole", "lqr", rate=1.0)
+        obs = [0.1, 0.0, 0.05, 0.0]
+        target = make_expert("cartpole", "lqr")(jnp.asarray(obs))
+        np.testing.assert_array_equal(advisor.target(obs), target)
+        key = jax.random.key(0)
+        for action, expected in ((-1.0, 1), (1.0, -1), (float(target[0]), 0)):
+            assert advisor.advise(jax.random.clone(key), obs, [action]).tolist() == [expected]
+
+    def test_it_is_its_coins(self):
+        advisor = make_oracle("cartpole", "lqr", rate=0.5, error=0.5)
+        heard = [int(advisor.advise(jax.random.key(seed), np.zeros(4), np.ones(1))[0]) for seed in range(40)]
+        assert set(heard) == {-1, 0, 1}
+        again = [int(advisor.advise(jax.random.key(seed), np.zeros(4), np.ones(1))[0]) for seed in range(40)]
+        assert heard == again
+
+    def test_an_active_one_needs_sigma(self):
+        advisor = make_oracle("cartpole", "lqr", rate=0.0, active_gain=10.0)
+        assert isinstance(advisor, Advisor)
+        with pytest.raises(ValueError, match=r"give sigma_human, from learner.uncertainty"):
+            advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1))
+        assert advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1), [1.0]).tolist() == [-1]
+        assert advisor.advise(jax.random.key(1), np.zeros(4), np.ones(1), np.zeros(1)).tolist() == [0]
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"rate": 1.5}, "rate 1.5: give a number from 0 to 1"),
+            ({"rate": float("nan")}, "rate nan: give a number from 0 to 1"),
+            ({"error": -0.1}, "error -0.1: give a number from 0 to 1"),
+            ({"delta": -1}, "delta -1: give a number of at least 0"),
+            ({"delta": float("inf")}, "delta inf: give a number of at least 0"),
+            ({"active_gain": -2.0}, "active_gain -2.0: give a number of at least 0"),
+            ({"expert_name": "energy"}, "unknown oracle 'energy' for cartpole; allowed: gpc, lqr"),
+            ({"env_name": "cartpol"}, "unknown environment 'cartpol'; allowed: cartpole, pendulum"),
+        ],
+    )
+    def test_refusals(self, options, message):
+        with pytest.raises(ValueError, match=message):
+            make_oracle(**{"env_name": "cartpole", "expert_name": "lqr", **options})
