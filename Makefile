@@ -69,7 +69,7 @@ oracles: $(READY) ## learn the shipped gpc oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)
 
 bench: $(READY) ## measure the throughput
-	.venv/bin/python benchmarks/throughput.py $(value ARGS)
+	.venv/bin/python -m benchmarks.throughput $(value ARGS)
 
 test: $(READY) ## run every test
 	.venv/bin/python -m pytest -n 2 $(value ARGS)

@@ -1,0 +1,10 @@
+"""One thread, as in a sweep's workers, said before jax or numpy is loaded.
+
+jaxlib's batched Cholesky can wait for ever on an XLA pool of several threads, and OpenBLAS's threads wait for each
+other so long on a busy machine that one factor of 128 points takes a tenth of a second.
+"""
+
+import os
+
+for name in ("NPROC", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")

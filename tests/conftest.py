@@ -2,13 +2,9 @@
 
 import os
 
-# One thread, as in a sweep's workers: jaxlib's batched Cholesky can wait for ever on an XLA pool of several threads, and
-# OpenBLAS's threads wait for each other so long on a busy machine that one factor of 128 points takes a tenth of a second.
-for name in ("NPROC", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
 import hypothesis
 import jax
+import pytest
 from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
@@ -21,3 +17,13 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # The same examples in every run: what is covered is no matter of luck.
 hypothesis.settings.register_profile("gpcjax", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("gpcjax")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_programs(tmp_path_factory):
+    """What the workers of real sweeps compile is kept for this run of the tests, and none of an earlier one is used."""
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAX_COMPILATION_CACHE_DIR", str(shared / "xla"))
+        yield

@@ -26,7 +26,10 @@ def test_python_runs_in_order(tmp_path, monkeypatch):
 
 
 COMMANDS = [
-    line.partition("#")[0].strip() for block in blocks("sh") for line in block.splitlines() if line.startswith("make")
+    line.partition("#")[0].strip()
+    for block in blocks("sh")
+    for line in block.splitlines()
+    if line.startswith("make")
 ]
 
 

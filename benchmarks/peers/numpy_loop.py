@@ -273,7 +273,19 @@ LEARNERS: dict[str, type[NumpyGPC] | type[NumpyGPCNS] | type[NumpyCOACH]] = {
 }
 
 
-def run(algo: str, env: str, steps: int, seed: int, error: float, rate: float, delta: float) -> PeerResult:
+def run(
+    algo: str,
+    env: str,
+    steps: int,
+    seed: int,
+    error: float,
+    rate: float,
+    delta: float,
+    *,
+    episodes: int | None = None,
+) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns", "coach") on `env` ("cartpole", "pendulum"); see tasks.teach."""
     learner: Learner = LEARNERS[algo](env)
-    return teach(learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta)
+    return teach(
+        learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta, episodes=episodes
+    )

@@ -104,8 +104,11 @@ def run(
     rate: float,
     delta: float,
     *,
+    episodes: int | None = None,
     human_every_step: bool = False,
 ) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns") on `env` ("cartpole", "pendulum"); see tasks.teach."""
     learner = SklearnGPC(algo, env, human_every_step)
-    return teach(learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta)
+    return teach(
+        learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta, episodes=episodes
+    )

@@ -200,9 +200,17 @@ def uniforms(rng: np.random.Generator) -> Iterator[float]:
 
 
 def teach(
-    learner: Learner, task: Task, *, steps: int, seed: int, error: float, rate: float, delta: float
+    learner: Learner,
+    task: Task,
+    *,
+    steps: int,
+    seed: int,
+    error: float,
+    rate: float,
+    delta: float,
+    episodes: int | None = None,
 ) -> PeerResult:
-    """Teaches by the oracle (Alg. 4) for `steps` environment steps; all of it is timed.
+    """Teaches by the oracle (Alg. 4) for `steps` environment steps, or for so many episodes; all of it is timed.
 
     One uniform number u a step decides: u < rate is the chance to advise, u < rate * error the flipped sign.
     """
@@ -211,7 +219,7 @@ def teach(
     returns: list[float] = []
     taken = corrections = 0
     begin = time.perf_counter()
-    while taken < steps:
+    while taken < steps and len(returns) != episodes:
         state, total, length, terminated = task.reset(starts), 0.0, 0, False
         limit = min(task.max_steps, steps - taken)
         while length < limit and not terminated:

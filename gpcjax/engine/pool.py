@@ -26,7 +26,7 @@ CHUNK_SECONDS = 0.05
 """About how long the compiled program runs between two looks of the host."""
 
 MOST_ROUNDS = 4096
-"""Rounds between two looks at most: a chunk that ends early, because no lane runs any more, tells nothing of their length."""
+"""Rounds between two looks at most: a chunk that ends early, for want of lanes, tells nothing of their length."""
 
 
 @dataclasses.dataclass(frozen=True)

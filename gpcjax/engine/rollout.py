@@ -280,7 +280,8 @@ class Loop(eqx.Module):
 
 def _take(tree: PyTree, chosen: Int[Array, " group"], axis: int) -> PyTree:
     def take(leaf: Array) -> Array:
-        index = jnp.minimum(chosen, leaf.shape[axis] - 1)  # what stands for a missing lane is computed and dropped
+        # What stands for a missing lane is computed, and dropped when it is put back.
+        index = jnp.minimum(chosen, leaf.shape[axis] - 1)
         return leaf.at[(index,) if axis == 0 else (..., index)].get(mode="promise_in_bounds")
 
     return jax.tree.map(take, tree)

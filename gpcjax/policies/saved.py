@@ -86,7 +86,9 @@ def load_card(path: str | os.PathLike[str]) -> dict[str, Any]:
     if version != FORMAT:
         raise ValueError(f"{file}: format {version!r} is not known, this version reads {FORMAT}")
     if card.get("kind") not in _KINDS or not isinstance(card.get("arrays"), dict):
-        raise ValueError(f"{file}: this is not a policy's card (it needs arrays, and as kind {' or '.join(_KINDS)})")
+        raise ValueError(
+            f"{file}: this is not a policy's card (it needs arrays, and as kind {' or '.join(_KINDS)})"
+        )
     return card
 
 

@@ -1,5 +1,6 @@
 """From a store to its report: read, count, draw, write. Every file is replaced as a whole."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +16,13 @@ from gpcjax.sweep import store
 from gpcjax.sweep.atomic import write_atomic
 
 
-def draw(out: Path) -> Summary:
+def draw(out: str | os.PathLike[str]) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
     Raises:
         UserError: `out` holds no store, or no episode yet.
     """
+    out = Path(out)
     return draw_frames(out, store.read_episodes(out), store.read_corrections(out), store.read_manifest(out))
 
 

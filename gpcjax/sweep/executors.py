@@ -19,11 +19,12 @@ from gpcjax.sweep.store import CellRows
 SINGLE_THREADED = {"NPROC": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a worker: NPROC is the size of XLA's thread pools. It is the same for any number of jobs."""
 
+
 def worker_environment() -> dict[str, str]:
     """The environment of a process that computes: one thread, and compiled programs kept from one sweep to the next.
 
-    XLA's programs are cached below `$XDG_CACHE_HOME/gpcjax` (`~/.cache/gpcjax`), apart for each kind of processor: what is
-    compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected.
+    XLA's programs are cached below `$XDG_CACHE_HOME/gpcjax` (`~/.cache/gpcjax`), apart for each kind of processor: what
+    is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected.
     """
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     cache = {
@@ -184,6 +185,7 @@ def _start() -> _Worker:
         pass_fds=[theirs.fileno()],
         env=worker_environment(),
         stdin=subprocess.DEVNULL,
+        process_group=0,  # Ctrl-C is for the parent alone, also while a worker is still importing
     )
     theirs.close()
     return _Worker(ours, process)

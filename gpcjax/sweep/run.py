@@ -113,8 +113,10 @@ class _Sweep:
             self._flush()
 
     def _flush(self) -> None:
-        self._store.append(self._rows)
-        self._rows, self._flushed = [], time.monotonic()
+        # Taken first: a Ctrl-C just after the writing must not write them twice.
+        rows, self._rows = self._rows, []
+        self._store.append(rows)
+        self._flushed = time.monotonic()
         self._save(complete=False)
 
     def _keep_baseline(self, name: str, numbers: dict[str, float]) -> None:

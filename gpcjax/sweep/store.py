@@ -5,6 +5,7 @@ name. The corrections are written first; a part without episodes was interrupted
 """
 
 import os
+import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -71,7 +72,7 @@ class Store:
         """Writes the rows of some cells as one part."""
         if not rows:
             return
-        name = f"part-{len(list(self._episodes.glob('*.parquet'))):05d}-{os.getpid()}.parquet"
+        name = f"part-{len(list(self._episodes.glob('*.parquet'))):05d}-{uuid.uuid4().hex[:12]}.parquet"
         for folder, table in (
             (self._corrections, self._correction_table(rows)),
             (self._episodes, self._episode_table(rows)),

@@ -46,7 +46,7 @@ class Drift(Env):
         start = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
         return begin(start, start)
 
-    def step(self, state: State, action: Float[Array, "2"]) -> State:
+    def step(self, state: State, action: Float[Array, 2]) -> State:
         at, time = state.physics, state.time + 1
         action = jnp.clip(action, -1.0, 1.0)
         push = self.force * action
@@ -62,7 +62,7 @@ class Drift(Env):
         )
 
 
-def expert(obs: Float[Array, "2"]) -> Float[Array, "2"]:
+def expert(obs: Float[Array, 2]) -> Float[Array, 2]:
     """What the teacher would do with `Drift`."""
     return jnp.clip(jnp.stack([-0.9 * obs[0], -0.7 * obs[1] - 0.2 * obs[0]]), -1.0, 1.0)
 
@@ -77,8 +77,15 @@ def learner(algo: str, capacity: int = TIERS[0].policy_capacity, **options: Any)
     """A learner for `Drift`; its dictionaries begin with room for `capacity` points."""
     if algo == "coach":
         grid = {"lower": (-2.0, -2.0), "upper": (2.0, 2.0), "counts": (4, 5)}
-        return make_learner(algo, **{"obs_size": 2, "action_size": 2, **grid, "beta": 3.0, "magnitude": 0.3, **options})
-    kernels = {"policy_length_scale": 0.7, "policy_variance": 0.01, "human_length_scale": 0.3, "human_variance": 0.01}
+        return make_learner(
+            algo, **{"obs_size": 2, "action_size": 2, **grid, "beta": 3.0, "magnitude": 0.3, **options}
+        )
+    kernels = {
+        "policy_length_scale": 0.7,
+        "policy_variance": 0.01,
+        "human_length_scale": 0.3,
+        "human_variance": 0.01,
+    }
     return make_learner(algo, **{"obs_size": 2, "action_size": 2, "capacity": capacity, **kernels, **options})
 
 
@@ -139,7 +146,16 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
     """
     learner, teacher, seed = jax.tree.map(jnp.asarray, start.learner), start.teacher, start.seed
     state = learner.resize(learner.init(), tier.policy_capacity, tier.human_capacity)
-    names = ("returns", "length", "corrections", "rate_sum", "policy_points", "human_points", "clipped", "full")
+    names = (
+        "returns",
+        "length",
+        "corrections",
+        "rate_sum",
+        "policy_points",
+        "human_points",
+        "clipped",
+        "full",
+    )
     rows = {name: np.zeros(episodes) for name in names}
     log: dict[str, list] = {"where": [], "values": [], "outcome": []}
     status = Status.OK
@@ -147,13 +163,17 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
         at = reset(env, streams.start_key(seed, episode))
         while not at.done and status == Status.OK:
             step = int(at.time)
-            action, clipped, h = propose(learner, teacher, state, at.obs, streams.coin_key(seed, episode, step))
+            action, clipped, h = propose(
+                learner, teacher, state, at.obs, streams.coin_key(seed, episode, step)
+            )
             if np.any(h != 0):
                 state, info = learner.correct(state, at.obs, action, h)
                 status = Status(int(info.status))
                 for i in np.flatnonzero(h):
                     log["where"].append((episode, step, i))
-                    log["values"].append([values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)])
+                    log["values"].append(
+                        [values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)]
+                    )
                     log["outcome"].append([values[i] for values in (info.appended, info.replaced, info.full)])
                     refused = bool(info.full[i]) and status == Status.FULL
                     rows["corrections"][episode] += not refused

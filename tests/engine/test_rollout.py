@@ -1,4 +1,4 @@
-"""The batched loop against a plain one, on recorded observations: there rounding errors do not grow, so all is compared."""
+"""The batched loop against a plain one, on recorded observations: rounding errors do not grow, so all is compared."""
 
 import dataclasses
 
@@ -38,13 +38,20 @@ def agrees(lane, expected, tolerance=TOLERANCE):
 
 
 @pytest.mark.parametrize(
-    ("algo", "tier"), [("gpc", Tier(64, 192, 3, 2)), ("gpc-ns", Tier(64, 192, 3, 2)), ("coach", Tier(1, 1, 3))]
+    ("algo", "tier"),
+    [("gpc", Tier(64, 192, 3, 2)), ("gpc-ns", Tier(64, 192, 3, 2)), ("coach", Tier(1, 1, 3))],
 )
 def test_against_a_plain_loop(algo, tier):
     """With usual, wrong, quiet and busy teachers."""
-    settings = [(3, {}), (3, {"error": 0.5}), (4, {"rate": 0.2, "delta": 0.3}), (5, {"rate": 1.0, "delta": 0.0})]
+    settings = [
+        (3, {}),
+        (3, {"error": 0.5}),
+        (4, {"rate": 0.2, "delta": 0.3}),
+        (5, {"rate": 1.0, "delta": 0.0}),
+    ]
+    large_steps = {"magnitude": 1.0} if algo == "coach" else {"constant_rate": 0.3}
     starts = [
-        start(index, learner(algo, capacity=tier.policy_capacity), oracle(**teaching), seed)
+        start(index, learner(algo, tier.policy_capacity, **large_steps), oracle(**teaching), seed)
         for index, (seed, teaching) in enumerate(settings)
     ]
     lanes = run(make_pool(RECORDED, starts[0], (tier,), episodes=6), starts)
@@ -75,7 +82,7 @@ class TestFull:
         assert lane.rows.full[last] > 0 and not lane.rows.full[:last].any()
         # The refused corrections are in the log, and are not counted as learned.
         refused = lane.log.outcome[: lane.log.count, 2]
-        assert refused.sum() == lane.rows.full.sum() and not refused[: -2].any()
+        assert refused.sum() == lane.rows.full.sum() and not refused[:-2].any()
         assert lane.rows.corrections.sum() + refused.sum() == lane.log.count
         assert not lane.log.outcome[: lane.log.count][refused][:, :2].any()
 

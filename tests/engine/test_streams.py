@@ -48,7 +48,10 @@ def test_coins_are_uniform_and_independent():
     counts = np.histogram(coins, bins=20, range=(0, 1))[0] / coins.size
     np.testing.assert_allclose(counts, 0.05, atol=0.005)
     for axis in range(4):
-        here, next_to_it = (np.take(coins, range(*part), axis) for part in ((0, coins.shape[axis] - 1), (1, coins.shape[axis])))
+        here, next_to_it = (
+            np.take(coins, range(*part), axis)
+            for part in ((0, coins.shape[axis] - 1), (1, coins.shape[axis]))
+        )
         assert abs(np.corrcoef(here.ravel(), next_to_it.ravel())[0, 1]) < 0.03
 
 

@@ -58,7 +58,8 @@ class Dense:
         explained = (k * np.linalg.solve(self.matrix, k)).sum(0)
         whitened = np.asarray(root)[:, self.used] @ k
         got, expected = (
-            np.sqrt(np.maximum(1 + self.noise - part, self.noise)) for part in ((whitened**2).sum(0), explained)
+            np.sqrt(np.maximum(1 + self.noise - part, self.noise))
+            for part in ((whitened**2).sum(0), explained)
         )
         np.testing.assert_allclose(got, expected, atol=tolerance)
 
@@ -153,7 +154,9 @@ def test_a_batch_is_its_members():
         index = lane if lane % 2 else 3 + lane
         replaced, write = bool(dense.used[index]), lane != 4
         dense.used[index] = False
-        lanes.append((root, index, replaced, jnp.asarray(dense.covariances(rng.normal(size=2))), NOISE, write))
+        lanes.append(
+            (root, index, replaced, jnp.asarray(dense.covariances(rng.normal(size=2))), NOISE, write)
+        )
     arguments = [jnp.stack([jnp.asarray(value) for value in values]) for values in zip(*lanes, strict=True)]
     together = jax.vmap(put)(*arguments)
     for got, lane in zip(together, lanes, strict=True):

@@ -51,7 +51,10 @@ def test_near_repeats_lose_no_digits(nu):
 
 def test_the_squared_exponential_is_the_limit_of_the_matern_family():
     """Smoother means larger covariances near by, whatever the branch."""
-    near = [float(make(nu).covariances(jnp.zeros((1, 1)), jnp.full(1, 0.2), jnp.ones(1))[0]) for nu in SMOOTHNESSES]
+    near = [
+        float(make(nu).covariances(jnp.zeros((1, 1)), jnp.full(1, 0.2), jnp.ones(1))[0])
+        for nu in SMOOTHNESSES
+    ]
     assert near == sorted(near) and len(set(near)) == len(near)
 
 
@@ -60,10 +63,14 @@ def test_a_grid_of_hyperparameters_is_a_vmap():
     kernels = jax.vmap(lambda length: Kernel(jnp.asarray(0.3), length, 1.5))(lengths)
     grid = jax.vmap(lambda kernel: kernel.gram(points, scale))(kernels)
     for length, gram in zip(lengths, grid, strict=True):
-        np.testing.assert_allclose(gram, make(1.5, length_scale=float(length)).gram(points, scale), rtol=1e-14)
+        np.testing.assert_allclose(
+            gram, make(1.5, length_scale=float(length)).gram(points, scale), rtol=1e-14
+        )
 
 
 @pytest.mark.parametrize("nu", [0.0, 1.0, 3.5, -math.inf])
 def test_a_smoothness_without_closed_form_is_refused(nu):
-    with pytest.raises(ValueError, match=rf"smoothness nu = {nu}: closed forms exist for \(0.5, 1.5, 2.5, inf\)"):
+    with pytest.raises(
+        ValueError, match=rf"smoothness nu = {nu}: closed forms exist for \(0.5, 1.5, 2.5, inf\)"
+    ):
         make(nu)

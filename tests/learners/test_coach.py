@@ -16,7 +16,9 @@ def taught(learner, count=10, seed=0):
     rng, state = np.random.default_rng(seed), learner.init()
     for _ in range(count):
         obs = rng.normal(size=learner.obs_size)
-        state, _ = learner.correct(state, obs, np.zeros(learner.action_size), rng.choice([-1.0, 1.0], learner.action_size))
+        state, _ = learner.correct(
+            state, obs, np.zeros(learner.action_size), rng.choice([-1.0, 1.0], learner.action_size)
+        )
     return state
 
 
@@ -50,7 +52,9 @@ def test_the_rate_is_the_change_of_the_action():
     for _ in range(4):
         before = learner.controller(state)(jnp.asarray(obs))
         state, info = learner.correct(state, obs, [0.0], [1])
-        np.testing.assert_allclose(info.rate, learner.controller(state)(jnp.asarray(obs)) - before, rtol=1e-12)
+        np.testing.assert_allclose(
+            info.rate, learner.controller(state)(jnp.asarray(obs)) - before, rtol=1e-12
+        )
         rates.append(float(info.rate[0]))
     features = learner.grid.features(jnp.asarray(obs))
     assert rates[0] == pytest.approx(1.8 * 5.0 * float((features * features).sum()))
@@ -74,7 +78,9 @@ def test_direct_jitted_and_batched_calls_agree():
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
     rng = np.random.default_rng(5)
     obs, h = jnp.asarray(rng.normal(size=(3, 8))), jnp.asarray(rng.choice([-1.0, 0.0, 1.0], size=(3, 2)))
-    together = jax.jit(jax.vmap(lambda *arguments: learner.correct(*arguments)))(stacked, obs, jnp.zeros((3, 2)), h)
+    together = jax.jit(jax.vmap(lambda *arguments: learner.correct(*arguments)))(
+        stacked, obs, jnp.zeros((3, 2)), h
+    )
     for i in range(3):
         direct = learner.correct(states[i], obs[i], jnp.zeros(2), h[i])
         assert_close(jax.tree.map(lambda leaf, i=i: leaf[i], together), direct, 1e-12)
@@ -86,7 +92,9 @@ def test_one_trace(monkeypatch):
     original = COACH._correct
     monkeypatch.setattr(COACH, "_correct", lambda self, *rest: traces.append(self) or original(self, *rest))
     for beta in (1.0, 2.0):
-        learner = make_learner("coach", obs_size=2, action_size=1, lower=(0, 0), upper=(1, 1), counts=(3, 7), beta=beta)
+        learner = make_learner(
+            "coach", obs_size=2, action_size=1, lower=(0, 0), upper=(1, 1), counts=(3, 7), beta=beta
+        )
         state = learner.init()
         for step in range(3):
             state, _ = learner.correct(state, [0.1 * step, 0.5], [0.0], [1])
@@ -116,7 +124,8 @@ class TestGrid:
         obs = np.random.default_rng(7).normal(size=(8, 5))
         lanes = jax.tree.map(lambda leaf: jnp.stack([leaf] * 5, -1), learner.controller(state))
         expected = [
-            (state.policy * learner.grid.features(jnp.asarray(each))[None]).sum(tuple(range(1, 9))) for each in obs.T
+            (state.policy * learner.grid.features(jnp.asarray(each))[None]).sum(tuple(range(1, 9)))
+            for each in obs.T
         ]
         np.testing.assert_allclose(lanes(jnp.asarray(obs)), np.stack(expected, -1), rtol=1e-12, atol=1e-12)
 

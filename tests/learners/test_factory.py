@@ -59,7 +59,10 @@ def test_every_hyperparameter_of_a_sweep_is_an_option(row):
     value = 0.5 if row.name == "policy_nu" else 0.123
     for algo in ALGORITHMS:
         if algo in row.algorithms:
-            learner, usual = make_learner(algo, "cartpole", **{row.name: value}), make_learner(algo, "cartpole")
+            learner, usual = (
+                make_learner(algo, "cartpole", **{row.name: value}),
+                make_learner(algo, "cartpole"),
+            )
             assert jax.tree.structure(learner) != jax.tree.structure(usual) or any(
                 (a != b).any() for a, b in zip(jax.tree.leaves(learner), jax.tree.leaves(usual), strict=True)
             )
@@ -92,7 +95,9 @@ class TestATaskOfOnesOwn:
         assert own.human.kernel.variance == lander.human.kernel.variance
 
     def test_a_table_with_changes(self):
-        learner = make_learner("gpc", "cartpole", policy={"length_scale": 0.9}, static_rate=0.04, sparsify=False)
+        learner = make_learner(
+            "gpc", "cartpole", policy={"length_scale": 0.9}, static_rate=0.04, sparsify=False
+        )
         assert learner.policy.kernel.length_scale == 0.9 and learner.policy.kernel.variance == 0.01
         assert learner.static_rate == 0.04 and not learner.sparsify
 
@@ -116,7 +121,11 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
     ("arguments", "options", "message"),
     [
         (("gcp", "cartpole"), {}, "algo 'gcp' is not known: choose one of gpc, gpc-ns, coach"),
-        (("gpc", "cartpol"), {}, "env 'cartpol' has no table: choose pendulum, cartpole, lunarlander, or give obs_size"),
+        (
+            ("gpc", "cartpol"),
+            {},
+            "env 'cartpol' has no table: choose pendulum, cartpole, lunarlander, or give obs_size",
+        ),
         (("gpc",), {}, "obs_size and action_size missing: give sizes, or one of the envs"),
         (("gpc",), {"obs_size": 3}, "action_size missing"),
         (("gpc",), {"obs_size": 0, "action_size": 1}, "obs_size 0: give a whole number of at least 1"),
@@ -128,32 +137,72 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
         (("gpc", "cartpole"), {"capacity": math.inf}, "policy_capacity inf: give a whole number"),
         (("gpc", "cartpole"), {"capacity": "8"}, "policy_capacity '8': give a whole number"),
         (("gpc", "cartpole"), {"capacity": None}, "policy_capacity None: give a whole number"),
-        (("gpc", "cartpole"), {"nosie": 1.0}, "'nosie' is not an option of this learner: choose from .*noise"),
+        (
+            ("gpc", "cartpole"),
+            {"nosie": 1.0},
+            "'nosie' is not an option of this learner: choose from .*noise",
+        ),
         (("coach", "cartpole"), {"capacity": 8}, "'capacity' is not an option of this learner"),
-        (("coach", "cartpole"), {"policy": {"variance": 1.0}}, "'policy_variance' is not an option of this learner"),
+        (
+            ("coach", "cartpole"),
+            {"policy": {"variance": 1.0}},
+            "'policy_variance' is not an option of this learner",
+        ),
         (("gpc", "cartpole"), {"human": {"nu": 0.5}}, "'human_nu' is not an option of this learner"),
         (("gpc", "cartpole"), {"policy": {"variance": 0.0}}, "policy_variance 0.0: give a positive number"),
-        (("gpc", "cartpole"), {"policy": {"length_scale": -1}}, "policy_length_scale -1: give a positive number"),
-        (("gpc", "cartpole"), {"human": {"length_scale": math.inf}}, "human_length_scale inf: give a positive number"),
+        (
+            ("gpc", "cartpole"),
+            {"policy": {"length_scale": -1}},
+            "policy_length_scale -1: give a positive number",
+        ),
+        (
+            ("gpc", "cartpole"),
+            {"human": {"length_scale": math.inf}},
+            "human_length_scale inf: give a positive number",
+        ),
         (("gpc", "cartpole"), {"noise": 0.0}, "noise 0.0: give a positive number"),
         (("gpc", "cartpole"), {"noise": "small"}, "noise 'small': give a positive number"),
         (("gpc", "cartpole"), {"noise": None}, "noise None: give a positive number"),
         (("gpc", "cartpole"), {"constant_rate": -0.1}, "constant_rate -0.1: give a non-negative number"),
         (("gpc", "cartpole"), {"constant_rate": math.nan}, "constant_rate nan: give a non-negative number"),
         (("gpc", "cartpole"), {"policy_nu": 2}, "policy_nu 2: choose 0.5, 1.5 or 2.5"),
-        (("gpc", "cartpole"), {"on_full": "drpo"}, "on_full 'drpo' is not known: choose one of error, replace-nearest, drop"),
-        (("gpc", "cartpole"), {"scaling": (1.0, 2.0)}, r"scaling \(1.0, 2.0\): give one finite number, or 4 of them"),
+        (
+            ("gpc", "cartpole"),
+            {"on_full": "drpo"},
+            "on_full 'drpo' is not known: choose one of error, replace-nearest, drop",
+        ),
+        (
+            ("gpc", "cartpole"),
+            {"scaling": (1.0, 2.0)},
+            r"scaling \(1.0, 2.0\): give one finite number, or 4 of them",
+        ),
         (("gpc", "cartpole"), {"scaling": math.nan}, "scaling nan: give one finite number"),
         (("gpc", "cartpole"), {"scaling": "wide"}, "scaling 'wide': give one finite number"),
         (("coach",), OWN, "COACH needs its grid: lower, upper and counts"),
         (("coach",), OWN | GRID | {"counts": (3, 1)}, r"counts \(3, 1\): give 2 numbers of at least 2"),
         (("coach",), OWN | GRID | {"counts": (3, 4, 5)}, r"counts \(3, 4, 5\): give 2 numbers of at least 2"),
-        (("coach",), OWN | GRID | {"lower": (-1, 2)}, r"lower \[-1.0, 2.0\] must be below upper \[1.0, 2.0\]"),
-        (("coach",), OWN | GRID | {"upper": (1, math.inf)}, r"upper \(1, inf\): give one finite number, or 2 of them"),
-        (("coach",), OWN | GRID | {"beta": (1.0, 2.0)}, r"beta \(1.0, 2.0\): give one positive number, or 1 of them"),
+        (
+            ("coach",),
+            OWN | GRID | {"lower": (-1, 2)},
+            r"lower \[-1.0, 2.0\] must be below upper \[1.0, 2.0\]",
+        ),
+        (
+            ("coach",),
+            OWN | GRID | {"upper": (1, math.inf)},
+            r"upper \(1, inf\): give one finite number, or 2 of them",
+        ),
+        (
+            ("coach",),
+            OWN | GRID | {"beta": (1.0, 2.0)},
+            r"beta \(1.0, 2.0\): give one positive number, or 1 of them",
+        ),
         (("coach", "cartpole"), {"beta": 0.0}, "beta 0.0: give one positive number"),
         (("coach", "cartpole"), {"magnitude": -1.0}, "magnitude -1.0: give one positive number"),
-        (("coach", "cartpole"), {"coach_constant": -1.0}, "coach_constant -1.0: give one non-negative number"),
+        (
+            ("coach", "cartpole"),
+            {"coach_constant": -1.0},
+            "coach_constant -1.0: give one non-negative number",
+        ),
     ],
     ids=str,
 )

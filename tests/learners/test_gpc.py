@@ -26,7 +26,9 @@ def taught(learner, count=12, seed=0):
     rng, state = np.random.default_rng(seed), learner.init()
     for _ in range(count):
         obs = rng.choice([0.4, 1.0]) * rng.normal(size=learner.obs_size)
-        state, _ = learner.correct(state, obs, learner.act(state, obs), rng.choice([-1.0, 1.0], learner.action_size))
+        state, _ = learner.correct(
+            state, obs, learner.act(state, obs), rng.choice([-1.0, 1.0], learner.action_size)
+        )
     return state
 
 
@@ -73,7 +75,9 @@ class TestFull:
     """Both dictionaries have four places, and the fifth correction is far from the others."""
 
     def correct(self, algo, on_full, policy=4, human=4):
-        learner = make_learner(algo, "cartpole", policy_capacity=policy, human_capacity=human, on_full=on_full)
+        learner = make_learner(
+            algo, "cartpole", policy_capacity=policy, human_capacity=human, on_full=on_full
+        )
         state = learner.init()
         for step in range(4):
             state, info = learner.correct(state, 3.0 * np.eye(4)[step], [0.0], [1])
@@ -144,7 +148,9 @@ def test_every_status_has_a_word_and_a_message():
 class TestOneCodePath:
     def test_direct_jitted_and_batched_calls_agree(self, algo):
         """Twenty corrections of five learners at once, with hyperparameters of their own."""
-        learners = [make_learner(algo, "lunarlander", capacity=32, constant_rate=0.01 * (1 + i)) for i in range(5)]
+        learners = [
+            make_learner(algo, "lunarlander", capacity=32, constant_rate=0.01 * (1 + i)) for i in range(5)
+        ]
         rng = np.random.default_rng(1)
         observations, advice = rng.normal(size=(20, 5, 8)), rng.choice([-1.0, 0.0, 1.0], size=(20, 5, 2))
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *learners)
@@ -154,7 +160,9 @@ class TestOneCodePath:
         for round in range(20):
             # Each round starts from one state: differences of the last digits must not add up.
             before = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(5)]
-            batch, batch_info = together(stacked, batch, jnp.asarray(observations[round]), jnp.asarray(advice[round]))
+            batch, batch_info = together(
+                stacked, batch, jnp.asarray(observations[round]), jnp.asarray(advice[round])
+            )
             for i, learner in enumerate(learners[:2]):
                 obs, h = observations[round, i], advice[round, i]
                 direct, info = step(learner, before[i], obs, h)
@@ -163,10 +171,14 @@ class TestOneCodePath:
                 for other, other_info in ((compiled, compiled_info), (member, member_info)):
                     assert_close(other_info, info, 1e-12)
                     probe = observations[0, i]
-                    np.testing.assert_allclose(learner.act(other, probe), learner.act(direct, probe), atol=1e-12)
+                    np.testing.assert_allclose(
+                        learner.act(other, probe), learner.act(direct, probe), atol=1e-12
+                    )
                     action = np.zeros(2)
                     np.testing.assert_allclose(
-                        learner.uncertainty(other, probe, action), learner.uncertainty(direct, probe, action), atol=1e-12
+                        learner.uncertainty(other, probe, action),
+                        learner.uncertainty(direct, probe, action),
+                        atol=1e-12,
                     )
 
     def test_the_same_call_gives_the_same_bits(self, algo):
@@ -185,7 +197,9 @@ class TestOneCodePath:
         for obs, h, rate in zip(*items, infos.rate, strict=True):
             state, info = step(state, (obs, h))
             np.testing.assert_allclose(info.rate, rate, atol=1e-12)
-        np.testing.assert_allclose(learner.act(last, items[0][0]), learner.act(state, items[0][0]), atol=1e-12)
+        np.testing.assert_allclose(
+            learner.act(last, items[0][0]), learner.act(state, items[0][0]), atol=1e-12
+        )
 
     def test_one_trace_for_each_shape(self, algo, monkeypatch):
         """Values, hyperparameters and states are no reason to compile again; another capacity is."""
@@ -208,10 +222,23 @@ def test_plain_numbers_of_any_kind_are_taken(algo):
     """Lists, float32 and integers: all are computed in float64."""
     learner = make_learner(algo, "cartpole", capacity=16)
     state, values = taught(learner), [0.5, -0.25, 0.125, 1.0]
-    kinds = (values, np.asarray(values), np.asarray(values, np.float32), jnp.asarray(values), jnp.asarray(values, jnp.float32))
+    kinds = (
+        values,
+        np.asarray(values),
+        np.asarray(values, np.float32),
+        jnp.asarray(values),
+        jnp.asarray(values, jnp.float32),
+    )
     expected = learner.correct(state, jnp.asarray(values), jnp.zeros(1), jnp.ones(1))
     for obs in kinds:
-        for advice in ([1], [1.0], np.ones(1, int), np.ones(1, np.float32), np.ones(1, np.int8), jnp.ones(1, jnp.int32)):
+        for advice in (
+            [1],
+            [1.0],
+            np.ones(1, int),
+            np.ones(1, np.float32),
+            np.ones(1, np.int8),
+            jnp.ones(1, jnp.int32),
+        ):
             after = learner.correct(state, obs, [0], advice)
             assert_same_bits(after, expected)
         assert learner.act(state, obs).dtype == jnp.float64
@@ -251,7 +278,15 @@ class TestErrors:
 
 class TestSparsification:
     def learner(self, **options):
-        return make_learner("gpc", obs_size=1, action_size=1, capacity=8, policy_variance=1.0, policy_length_scale=1.0, **options)
+        return make_learner(
+            "gpc",
+            obs_size=1,
+            action_size=1,
+            capacity=8,
+            policy_variance=1.0,
+            policy_length_scale=1.0,
+            **options,
+        )
 
     @pytest.mark.parametrize("order", [(-1, 1), (1, -1)])
     def test_a_tie_goes_to_the_lowest_index(self, order):
@@ -261,7 +296,9 @@ class TestSparsification:
         for side in order:
             state, info = learner.correct(state, [0.25 * side], [0.0], [1])
             assert info.appended
-        covariances = learner.policy.covariances(jax.tree.map(lambda leaf: leaf[0], state.policy), jnp.zeros(1))
+        covariances = learner.policy.covariances(
+            jax.tree.map(lambda leaf: leaf[0], state.policy), jnp.zeros(1)
+        )
         assert covariances[0] == covariances[1]
         state, info = learner.correct(state, [0.0], [0.0], [1])
         assert info.replaced and state.policy.count == 2
@@ -332,7 +369,9 @@ def test_growing_keeps_the_policy_and_learns_on(algo):
     grown = small.grow(state)
     assert small.has_room(grown) and grown.policy.points.shape == (1, 16, 4)
     np.testing.assert_allclose(small.act(grown, probe), small.act(state, probe), atol=1e-12)
-    np.testing.assert_allclose(small.uncertainty(grown, probe, [0.1]), small.uncertainty(state, probe, [0.1]), atol=1e-12)
+    np.testing.assert_allclose(
+        small.uncertainty(grown, probe, [0.1]), small.uncertainty(state, probe, [0.1]), atol=1e-12
+    )
     grown = small.grow(grown)
     for step in range(12):
         obs = 0.1 * step * np.ones(4)
@@ -350,10 +389,14 @@ def test_the_controller_is_the_policy_before_clipping(algo):
     state, obs = taught(learner), np.random.default_rng(3).normal(size=(6, 8))
     controller = learner.controller(state)
     for each in obs:
-        np.testing.assert_allclose(jnp.clip(controller(jnp.asarray(each)), -1, 1), learner.act(state, each), atol=1e-14)
+        np.testing.assert_allclose(
+            jnp.clip(controller(jnp.asarray(each)), -1, 1), learner.act(state, each), atol=1e-14
+        )
     # With lanes on the last axis, as the engine keeps them.
     lanes = jax.tree.map(lambda leaf: jnp.stack([leaf] * 6, -1), controller)
-    np.testing.assert_allclose(lanes(jnp.asarray(obs.T)), np.stack([controller(jnp.asarray(o)) for o in obs], -1), atol=1e-14)
+    np.testing.assert_allclose(
+        lanes(jnp.asarray(obs.T)), np.stack([controller(jnp.asarray(o)) for o in obs], -1), atol=1e-14
+    )
 
 
 @each_variant
@@ -379,7 +422,9 @@ for _ in range(20):
     state, info = learner.correct(state, obs, learner.act(state, obs), rng.choice([-1, 1], 1))
     print(repr(float(info.rate[0])), repr(float(learner.act(state, np.zeros(4))[0])))
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT, env={})
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT, env={}
+    )
     got = np.array([line.split() for line in done.stdout.splitlines()], float)
     reference, rng, expected = make_reference("gpc", "cartpole"), np.random.default_rng(0), []
     for _ in range(20):

@@ -62,7 +62,9 @@ def compare(learner, reference, items) -> int:
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
 def test_parity_with_the_dense_reference(algo: str, name: str):
     options = {} if algo == "coach" else {"capacity": 128}
-    replaced = compare(make_learner(algo, name, **options), make_reference(algo, name), sequence(name, 1, 120))
+    replaced = compare(
+        make_learner(algo, name, **options), make_reference(algo, name), sequence(name, 1, 120)
+    )
     assert algo == "coach" or replaced > 10
 
 
@@ -83,7 +85,11 @@ def test_parity_of_the_ablations(algo: str):
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
 def test_parity_over_several_hundred_corrections(algo: str):
     options = {} if algo == "coach" else {"capacity": 320}
-    compare(make_learner(algo, "cartpole", **options), make_reference(algo, "cartpole"), sequence("cartpole", 5, 320))
+    compare(
+        make_learner(algo, "cartpole", **options),
+        make_reference(algo, "cartpole"),
+        sequence("cartpole", 5, 320),
+    )
 
 
 def test_parity_after_two_thousand_replacements():

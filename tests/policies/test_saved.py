@@ -88,7 +88,9 @@ class TestSaving:
         for name in ("file", "empty", "policy"):
             path = tmp_path / name
             path.write_text("precious") if name == "file" else path.mkdir()
-            with pytest.raises(FileExistsError, match=f"{path} exists: choose another path, or remove it first"):
+            with pytest.raises(
+                FileExistsError, match=f"{path} exists: choose another path, or remove it first"
+            ):
                 gpcjax.save_policy(path, learner, state)
         assert (tmp_path / "file").read_text() == "precious"
         assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file", "policy"]
@@ -147,7 +149,17 @@ class TestLoading:
 
     @pytest.mark.parametrize(
         "text",
-        ["", "{", "[]", "3", "null", "{}", {"kind": "kernel"}, {"format": 1}, {"format": 1, "kind": "kernel"}],
+        [
+            "",
+            "{",
+            "[]",
+            "3",
+            "null",
+            "{}",
+            {"kind": "kernel"},
+            {"format": 1},
+            {"format": 1, "kind": "kernel"},
+        ],
         ids=str,
     )
     def test_a_broken_card(self, broken, text):

@@ -16,7 +16,9 @@ DRAWS = 200_000
 
 def make(rate=0.3, error=0.0, delta=0.05, active_gain=0.0) -> Oracle:
     numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
-    return Oracle(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0)
+    return Oracle(
+        **{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0
+    )
 
 
 def coins(seed=0, size=2) -> jax.Array:
@@ -36,7 +38,9 @@ def near(count, probability, draws):
     assert abs(count - probability * draws) < 5 * np.sqrt(draws * probability * (1 - probability)) + 1e-9
 
 
-@pytest.mark.parametrize(("rate", "error"), list(itertools.product([0.0, 0.05, 0.5, 1.0], [0.0, 0.1, 0.5, 1.0])))
+@pytest.mark.parametrize(
+    ("rate", "error"), list(itertools.product([0.0, 0.05, 0.5, 1.0], [0.0, 0.1, 0.5, 1.0]))
+)
 def test_frequencies_of_algorithm_4(rate, error):
     """Advice with chance gamma, of which a share e is wrong: in each action dimension."""
     h = advise(make(rate=rate, error=error), coins())

@@ -1,0 +1,1 @@
+"""Throughput of gpcjax beside its peers: `make bench`."""

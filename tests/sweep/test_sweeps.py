@@ -1,0 +1,280 @@
+"""Small real sweeps: a cell's rows are the same bits however they came about."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from gpcjax.engine import streams
+from gpcjax.engine.evaluate import evaluate, idle
+from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.build import start_of
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.store import read_corrections, read_episodes
+
+ROOT = Path(__file__).parents[2]
+SETTINGS = {
+    "env": "cartpole",
+    "algo": ["gpc", "gpc-ns", "coach"],
+    "error": [0.0, 0.2],
+    "seeds": 2,
+    "episodes": 3,
+    "oracle": "lqr",
+    "rate": 0.2,
+}
+KEYS = ["algo", "error", "seed", "episode"]
+GOLDEN = {
+    "gpc": {
+        "steps": [6, 12, 14, 16, 17, 24, 25, 27],
+        "rates": [0.220000999998, 0.21858926085, 0.157905431251, 0.166579651003, 0.0997462061407, 0.108383970417,
+                  0.0475825165155, 0.158085147271],
+        "length": 79,
+    },
+    "coach": {
+        "steps": [6, 12, 14, 16, 17, 24, 25, 27],
+        "rates": [0.0764674747728, 0.100936601178, 0.101289702049, 0.097765958935, 0.0986837312791, 0.0911221172864,
+                  0.0968861561416, 0.141237580043],
+        "length": 82,
+    },
+}  # fmt: skip
+PATIENCE = 120
+"""Seconds until a process that should have done something is given up."""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The sweep in one process, never interrupted."""
+    return sweep(tmp_path_factory.mktemp("reference") / "out", jobs=1, **SETTINGS)
+
+
+def assert_the_same_rows(got: Path, expected: Path, query: str = "seed >= 0") -> None:
+    for read in (read_episodes, read_corrections):
+        frame = read(expected).query(query).reset_index(drop=True)
+        pd.testing.assert_frame_equal(read(got), frame, check_exact=True)
+
+
+def wait_for(condition) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def process(words, out):
+    """A process in a group of its own, as the shell makes them, whose workers are killed with it at the end."""
+    with open(out / "stderr", "w") as stderr:
+        running = subprocess.Popen(
+            [sys.executable, *words], cwd=ROOT, stdout=stderr, stderr=stderr, start_new_session=True
+        )
+    try:
+        yield running
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(running.pid, signal.SIGKILL)
+        running.wait()
+
+
+def workers_of(pid: int) -> list[int]:
+    """Processes whose parent is `pid`."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = status.read_text().rpartition(")")[2].split()
+            if int(fields[1]) == pid and fields[0] != "Z":
+                found.append(int(status.parent.name))
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_what_it_holds(reference):
+    frame, corrections = read_episodes(reference), read_corrections(reference)
+    assert len(frame) == 3 * 2 * 2 * 3 and (frame["status"] == "ok").all()
+    assert frame[KEYS].values.tolist() == [
+        [algo, error, seed, episode]
+        for algo in SETTINGS["algo"]
+        for error in SETTINGS["error"]
+        for seed in (0, 1)
+        for episode in (1, 2, 3)
+    ]
+    # A cart-pole's return is its length.
+    assert (frame["return"] == frame["length"]).all() and frame["length"].between(1, 2500).all()
+    # The log holds the first 200 corrections: where it holds all of an episode, both tables tell the same.
+    logged = corrections.groupby(KEYS)["rate"].agg(["size", "mean"]).reset_index()
+    both = frame.merge(logged, on=KEYS, how="left").fillna({"size": 0})
+    assert (
+        both.groupby(KEYS[:3])["size"].sum() == both.groupby(KEYS[:3])["corrections"].sum().clip(upper=200)
+    ).all()
+    whole = both[(both["size"] == both["corrections"]) & (both["size"] > 0)]
+    assert len(whole) > 8
+    np.testing.assert_allclose(whole["mean_rate"], whole["mean"], rtol=1e-12)
+
+
+def test_seeds_and_errors_differ(reference):
+    for algo, part in read_episodes(reference).groupby("algo"):
+        runs = part.groupby(["error", "seed"])[["return", "corrections", "mean_rate"]].agg(tuple)
+        assert len(runs.drop_duplicates()) == 4, algo
+
+
+def test_every_learner_of_a_seed_begins_alike(reference):
+    """The idle policy from the same start, hearing the same coins: the first correction comes at the same step."""
+    first = read_corrections(reference).groupby(["algo", "error", "seed"]).first()[["episode", "step"]]
+    for error in SETTINGS["error"]:
+        for algo in ("gpc-ns", "coach"):
+            assert first.loc["gpc", error].equals(first.loc[algo, error])
+
+
+def test_against_a_plain_loop(reference):
+    """The first episode of each cell, step by step with the learner itself: its return and its corrections."""
+    frame, corrections = read_episodes(reference), read_corrections(reference)
+    env, expert = make_env("cartpole"), make_expert("cartpole", "lqr")
+
+    @eqx.filter_jit
+    def step(cell, learner, teacher, state, at):
+        """Act, and hear what the oracle says (Alg. 4); then the task's next state."""
+        action = learner.act(state, at.obs)
+        coins = teacher.coins(streams.coin_key(cell.seed, 0, at.time), 1)
+        gap = expert(at.obs) - action
+        advice = jnp.where(jnp.abs(gap) > cell.delta, jnp.sign(gap), 0.0) * (coins < cell.rate)
+        return action, jnp.where(coins < cell.rate * cell.error, -advice, advice), env.step(at, action)
+
+    for cell in plan(spec_of(**SETTINGS))[::3]:
+        start, rates = start_of(cell), []
+        learner = jax.tree.map(jnp.asarray, start.learner)
+        state, at = learner.init(), env.reset(streams.start_key(cell.seed, 0))
+        while not at.done and len(rates) < 20:
+            action, advice, after = step(cell, learner, start.teacher, state, at)
+            if advice.any():
+                state, info = learner.correct(state, at.obs, action, advice)
+                rates.append(info.rate[0])
+            at = after
+        where = (corrections[["algo", "error", "seed"]] == [cell.algo, cell.error, cell.seed]).all(axis=1)
+        logged = corrections[where & (corrections["episode"] == 1)]["rate"]
+        np.testing.assert_allclose(logged[: len(rates)], rates, rtol=1e-9)
+        assert rates
+        if at.done:
+            row = frame[(frame[KEYS] == [cell.algo, cell.error, cell.seed, 1]).all(axis=1)]
+            assert row["length"].item() == at.time and len(logged) == len(rates)
+
+
+def test_golden_run(reference):
+    """Numbers of one cell of each learner, pinned: they change only if the science or the random streams do.
+
+    Few corrections in, so that the last bits of another processor do not show.
+    """
+    frame, corrections = read_episodes(reference), read_corrections(reference)
+    for algo, golden in GOLDEN.items():
+        query = f"algo == '{algo}' and error == 0.2 and seed == 1"
+        first = corrections.query(query).head(len(golden["rates"]))
+        assert first["step"].tolist() == golden["steps"]
+        np.testing.assert_allclose(first["rate"], golden["rates"], rtol=1e-7)
+        assert frame.query(query)["length"].iloc[0] == golden["length"]
+
+
+def test_the_manifest(reference):
+    manifest = json.loads((reference / "manifest.json").read_text())
+    assert manifest["complete"] and manifest["cells"] == 12
+    assert manifest["env_steps"] == read_episodes(reference)["length"].sum()
+    assert 0 < manifest["compile_time_s"] < manifest["wall_time_s"]
+    env = make_env("cartpole")
+    for numbers, policy in (
+        (manifest["baselines"]["idle"], idle(env)),
+        (manifest["baselines"]["oracles"]["lqr"], make_expert("cartpole", "lqr")),
+    ):
+        returns = np.asarray(evaluate(env, policy, 100).returns)
+        assert numbers == {"mean": returns.mean(), "std": returns.std(ddof=1), "n": 100}
+
+
+def test_a_second_call_starts_no_worker(reference, monkeypatch):
+    monkeypatch.setattr(run_module, "Executors", None)
+    before = {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
+    sweep(reference, jobs=2, **SETTINGS)
+    assert before == {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
+
+
+def test_a_cell_alone(reference, tmp_path):
+    alone = SETTINGS | {"algo": "coach", "error": 0.2, "seeds": 1}
+    assert_the_same_rows(
+        sweep(tmp_path / "out", **alone), reference, "algo == 'coach' and error == 0.2 and seed == 0"
+    )
+
+
+def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
+    settings = SETTINGS | {"algo": "gpc", "error": 0.0, "seeds": 1, "max_capacity": 3}
+    out = sweep(tmp_path / "out", **settings)
+    frame, corrections = read_episodes(out), read_corrections(out)
+    assert (
+        len(frame) <= 3 and frame["status"].iloc[-1] == "full" and (frame["status"].iloc[:-1] == "ok").all()
+    )
+    assert frame["full"].iloc[-1] == corrections["full"].sum() == 1
+    assert len(corrections) == frame["corrections"].sum() + 1
+    assert frame["human_points"].iloc[-1] == 3
+
+
+def test_killed_and_resumed(reference, tmp_path):
+    """kill -9 of the sweep itself, after its first rows: no worker outlives it, and what is missing runs later."""
+    out = tmp_path / "out"
+    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{SETTINGS!r})"
+    with process(["-c", script], tmp_path) as running:
+        wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
+        workers = workers_of(running.pid)
+        running.kill()
+        assert running.wait() == -signal.SIGKILL, (tmp_path / "stderr").read_text()
+        wait_for(lambda: not any(map(alive, workers)))
+    assert len(workers) == 1
+    before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
+    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
+    assert not json.loads((out / "manifest.json").read_text())["complete"]
+    sweep(out, **SETTINGS)
+    assert_the_same_rows(out, reference)
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, tmp_path):
+    """Ctrl-C goes to the whole group, here while the workers are still starting up."""
+    out = tmp_path / "out"
+    words = [
+        "-m",
+        "gpcjax",
+        "sweep",
+        "--env=cartpole",
+        "--algo=coach,gpc-ns,gpc",
+        "--error=0.2,0",
+        "--seeds=2",
+        "--episodes=3",
+    ]
+    words += ["--oracle=lqr", "--rate=0.2", f"--out={out}", "--jobs=2"]
+    with process(words, tmp_path) as running:
+        wait_for(lambda: len(workers_of(running.pid)) == 2 or running.poll() is not None)
+        time.sleep(0.6)
+        os.killpg(running.pid, signal.SIGINT)
+        status = running.wait(PATIENCE)
+        said = (tmp_path / "stderr").read_text()
+        assert status == 130, said
+    assert "Traceback" not in said
+    line = said.splitlines()[-1]
+    assert line == f"gpcjax: stopped: {out} keeps what is finished, the same command goes on from there"
+    assert not list(out.rglob("*.tmp"))
+    subprocess.run([sys.executable, *words], cwd=ROOT, check=True, capture_output=True)
+    assert_the_same_rows(out, reference)
+    assert (out / "report.html").exists() and (out / "summary.csv").exists()
