@@ -188,8 +188,8 @@ def _number(name: str, value: Any, positive: bool = False) -> Any:
 
 
 def _vector(name: str, value: Any, size: int, kind: str = "finite") -> Any:
-    array = _float(value) if np.ndim(value) == 0 else np.array([_float(each) for each in value])
-    array = np.full(size, array) if np.ndim(array) == 0 else array
+    array = np.array([_float(each) for each in ([value] if np.ndim(value) == 0 else value)])
+    array = np.full(size, array[0]) if np.ndim(value) == 0 else array
     inside = {"finite": array > -np.inf, "positive": array > 0, "non-negative": array >= 0}[kind]
     if array.shape != (size,) or not (np.isfinite(array) & inside).all():
         raise ValueError(f"{name} {value!r}: give one {kind} number, or {size} of them")

@@ -92,7 +92,7 @@ def test_stopped_runs_leave_an_empty_panel():
     drawn(curves.learning_curves(summary_of(frame)))
 
 
-def test_learning_rates_are_means_by_index_of_correction(cartpole):
+def test_learning_rates_are_medians_by_index_of_correction(cartpole):
     corrections = synthetic.corrections()
     figure = curves.learning_rates(cartpole, corrections.sample(frac=1, random_state=2))
     axis = figure.axes[1]
@@ -100,7 +100,7 @@ def test_learning_rates_are_means_by_index_of_correction(cartpole):
     rows = corrections[(corrections["algo"] == "coach") & (corrections["error"] == 0.1)]
     index = rows.groupby("seed").cumcount()
     number = len(line.get_ydata())
-    np.testing.assert_allclose(line.get_ydata(), rows["rate"].groupby(index).mean()[:number])
+    np.testing.assert_allclose(line.get_ydata(), rows["rate"].groupby(index).median()[:number])
     assert index.value_counts()[number - 1] >= 6 and number <= 150
     assert axis.get_ylim()[0] == 0
     highest = max(
