@@ -22,9 +22,12 @@ from gpcjax.teachers.oracle import Oracle
 
 EPISODES = 4
 ALGORITHMS = ("gpc", "gpc-ns", "coach")
-TIERS = (Tier(4, 4, 4), Tier(8, 16, 5, 2), Tier(64, 64, 3, 1))
+TIERS = {
+    "gpc": (Tier(4, 4, 4), Tier(8, 16, 5, 2), Tier(64, 64, 3, 1)),
+    "gpc-ns": (Tier(4, 4, 5, 2), Tier(64, 64, 3, 1)),
+    "coach": (Tier(1, 1, 5),),
+}
 """Small ones, so that lanes pass through them all; widths and groups that vector instructions do not divide."""
-COACH_TIERS = (Tier(1, 1, 5),)
 
 
 class Drift(Env):
@@ -73,7 +76,7 @@ def oracle(kind: type[Oracle] = Oracle, **changes: float) -> Oracle:
     return kind(**{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active)
 
 
-def learner(algo: str, capacity: int = TIERS[0].policy_capacity, **options: Any) -> Learner:
+def learner(algo: str, capacity: int = 4, **options: Any) -> Learner:
     """A learner for `Drift`; its dictionaries begin with room for `capacity` points."""
     if algo == "coach":
         grid = {"lower": (-2.0, -2.0), "upper": (2.0, 2.0), "counts": (4, 5)}
