@@ -1,6 +1,7 @@
 """Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
 import os
+import signal
 
 import hypothesis
 import jax
@@ -10,6 +11,9 @@ from jaxtyping import install_import_hook
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
 
 install_import_hook("gpcjax", "tests.typechecker.check")
+
+# A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
