@@ -55,7 +55,7 @@ def make(
                 delta=teacher.delta,
                 active_gain=teacher.active_gain,
                 active=False,
-            ).advise(teacher.coins(coin, 1), action, target(situation.obs), jnp.zeros(1))
+            ).advise(jax.random.uniform(coin, (1,)), action, target(situation.obs), jnp.zeros(1))
             state = lax.cond(
                 (advice != 0).any(),
                 lambda state: learner.correct(state, situation.obs, action, advice)[0],

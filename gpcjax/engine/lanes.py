@@ -129,7 +129,7 @@ def coin_window(
     """Which of the steps from `start` may bring advice, as bits."""
 
     def possible(step: Int[Array, ""]) -> Bool[Array, ""]:
-        coins = teacher.coins(streams.coin_key(seed, episode, step), learner.action_size)
+        coins = streams.coins(seed, episode, step, learner.action_size)
         return teacher.may_advise(coins, learner.largest_sigma()).any()
 
     offsets = jnp.arange(WINDOW, dtype=jnp.uint32)

@@ -125,9 +125,7 @@ class Loop(eqx.Module):
     def _ask(self, block: Lane) -> tuple[Lane, Float[Array, "action lanes"]]:
         """The teacher's advice to the lanes that wait, zero for the others."""
         coins = jax.vmap(
-            lambda seed, episode, step: block.teacher.coins(
-                streams.coin_key(seed, episode, step), block.action.shape[0]
-            ),
+            lambda seed, episode, step: streams.coins(seed, episode, step, block.action.shape[0]),
             out_axes=-1,
         )(block.seed, block.episode, block.env.time)
         target = jax.vmap(self.expert, in_axes=-1, out_axes=-1)(block.env.obs)

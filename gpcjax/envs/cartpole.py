@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from gpcjax.elementary import sin_cos
 from gpcjax.envs.base import Env, State, begin, check_parameters, parameter
 
 
@@ -83,7 +84,7 @@ class CartPole(Env):
     def step(self, state: State, action: Float[Array, "1"]) -> State:
         x, x_dot, theta, theta_dot = (state.physics[i] for i in range(4))
         force = self.max_force * jnp.clip(action[0], -1.0, 1.0)
-        sin, cos = jnp.sin(theta), jnp.cos(theta)
+        sin, cos = sin_cos(theta)
 
         mass = self.cart_mass + self.pole_mass
         moment = self.pole_mass * self.half_length

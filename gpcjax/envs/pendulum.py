@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, Scalar
 
+from gpcjax.elementary import sin_cos
 from gpcjax.envs.base import Env, State, begin, check_parameters, parameter
 
 
@@ -86,7 +87,7 @@ class Pendulum(Env):
         angle = _normalise(theta)
         cost = angle * angle + 0.1 * theta_dot * theta_dot + 0.001 * torque * torque
 
-        falling = 3.0 * self.gravity / (2.0 * self.length) * jnp.sin(theta)
+        falling = 3.0 * self.gravity / (2.0 * self.length) * sin_cos(theta)[0]
         turning = 3.0 / (self.mass * self.length * self.length) * torque
         theta_dot = jnp.clip(theta_dot + (falling + turning) * self.tau, -self.max_speed, self.max_speed)
         theta = theta + theta_dot * self.tau
@@ -103,7 +104,8 @@ class Pendulum(Env):
 
 
 def _observe(theta: Scalar, theta_dot: Scalar) -> Float[Array, "3"]:
-    return jnp.stack([jnp.cos(theta), jnp.sin(theta), theta_dot])
+    sin, cos = sin_cos(theta)
+    return jnp.stack([cos, sin, theta_dot])
 
 
 def _normalise(theta: Scalar) -> Scalar:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import gpcjax._x64  # noqa: F401
+from gpcjax.elementary import decay
 
 SQUARED_EXPONENTIAL = math.inf
 SMOOTHNESSES = (0.5, 1.5, 2.5, SQUARED_EXPONENTIAL)
@@ -26,14 +27,14 @@ def correlation(squared: Float[Array, "*shape"], smoothness: float) -> Float[Arr
     0.5: exp(-d); 1.5: (1 + d) exp(-d); 2.5: (1 + d + d^2/3) exp(-d); infinity: exp(-d^2/2).
     """
     if smoothness == SQUARED_EXPONENTIAL:
-        return jnp.exp(-0.5 * squared)
+        return decay(0.5 * squared)
     distance = jnp.sqrt(squared)
-    decay = jnp.exp(-distance)
+    falling = decay(distance)
     if smoothness == 0.5:
-        return decay
+        return falling
     if smoothness == 1.5:
-        return (1.0 + distance) * decay
-    return (1.0 + distance + squared / 3.0) * decay
+        return (1.0 + distance) * falling
+    return (1.0 + distance + squared / 3.0) * falling
 
 
 class Kernel(eqx.Module):
@@ -67,16 +68,16 @@ class Kernel(eqx.Module):
         Distances come from differences: the dot-product form loses half of the digits for near repeats.
         """
         factor = scale * self.inverse_length
-        squared = _sum_of_squares((points[:, i] - point[i]) * factor[i] for i in range(points.shape[1]))
+        squared = sum_of_squares((points[:, i] - point[i]) * factor[i] for i in range(points.shape[1]))
         return self.variance * correlation(squared, self.smoothness)
 
     def gram(self, points: Float[Array, "n d"], scale: Float[Array, " d"]) -> Float[Array, "n n"]:
         """k(x_i, x_j) for all pairs of rows."""
         columns = (points * (scale * self.inverse_length)[None]).T
-        squared = _sum_of_squares(column[:, None] - column[None] for column in columns)
+        squared = sum_of_squares(column[:, None] - column[None] for column in columns)
         return self.variance * correlation(squared, self.smoothness)
 
 
-def _sum_of_squares(differences: Iterable[Float[Array, "*shape"]]) -> Float[Array, "*shape"]:
+def sum_of_squares(differences: Iterable[Float[Array, "*shape"]]) -> Float[Array, "*shape"]:
     """Added up term by term: a reduction over a short last axis would not vectorise on a CPU."""
     return functools.reduce(operator.add, (difference * difference for difference in differences))

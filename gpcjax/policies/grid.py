@@ -5,8 +5,12 @@ assignment for each observation dimension, and are kept that way: a grid of 4 x 
 and an observation far outside the grid still has features that sum to one.
 """
 
+import functools
+import operator
+
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from gpcjax.policies.base import Controller
@@ -47,7 +51,10 @@ class GridController(Controller):
 
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
         total = self.weights
-        for values in self.grid.memberships(obs):
-            inner = total.ndim - 1 - values.ndim
-            total = (total * values.reshape(1, values.shape[0], *[1] * inner, *values.shape[1:])).sum(1)
+        for i, values in reversed(list(enumerate(self.grid.memberships(obs)))):
+            # Written out, not as a reduction: XLA then makes one loop of it, over lanes, with no array in between.
+            terms = (
+                lax.index_in_dim(total, k, 1 + i, keepdims=False) * values[k] for k in range(len(values))
+            )
+            total = functools.reduce(operator.add, terms)
         return total

@@ -3,7 +3,7 @@
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from gpcjax.gp.kernels import correlation
+from gpcjax.gp.kernels import correlation, sum_of_squares
 from gpcjax.policies.base import Controller
 
 
@@ -19,6 +19,6 @@ class KernelController(Controller):
     smoothness: float = eqx.field(static=True)
 
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
-        difference = self.points - (obs[None] * self.scale)[:, None]
-        squared = (difference * difference).sum(2)
+        place = obs[None] * self.scale
+        squared = sum_of_squares(self.points[:, :, i] - place[:, None, i] for i in range(obs.shape[0]))
         return (correlation(squared, self.smoothness) * self.weights).sum(1)

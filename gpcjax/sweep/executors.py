@@ -1,48 +1,17 @@
 """Worker processes, and who gets which cell. Loads no jax."""
 
 import dataclasses
-import hashlib
-import os
-import platform
 import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any
 
+from gpcjax.sweep.environment import worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.store import CellRows
-
-SINGLE_THREADED = {"NPROC": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment of a worker: NPROC is the size of XLA's thread pools. It is the same for any number of jobs."""
-
-
-def worker_environment() -> dict[str, str]:
-    """The environment of a process that computes: one thread, and compiled programs kept from one sweep to the next.
-
-    XLA's programs are cached below `$XDG_CACHE_HOME/gpcjax` (`~/.cache/gpcjax`), apart for each kind of processor: what
-    is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected.
-    """
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    cache = {
-        "JAX_COMPILATION_CACHE_DIR": str(root / "gpcjax" / f"xla-{_processor_hash()}"),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
-    return {**cache, **os.environ, **SINGLE_THREADED}
-
-
-def _processor_hash() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = [platform.processor(), platform.platform()]
-    told = {line for line in lines if line.startswith(("model name", "flags", "Features")) or ":" not in line}
-    return hashlib.sha256("\n".join(sorted(told)).encode()).hexdigest()[:12]
-
 
 BATCH = 16
 """Cells handed out at once, at most."""

@@ -3,8 +3,7 @@
 import abc
 
 import equinox as eqx
-import jax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float
 
 import gpcjax._x64  # noqa: F401
 
@@ -12,18 +11,13 @@ import gpcjax._x64  # noqa: F401
 class Teacher(eqx.Module):
     """Gives advice on one step of one lane. Leaves and arguments may carry lanes as LAST axes.
 
-    A teacher draws one uniform number, a coin, for each step and action dimension, and everything random that it does
-    follows from it: with coins that depend on nothing but (seed, episode, step, dimension) the comparisons
+    A teacher is given one uniform number, a coin, for each step and action dimension, and everything random that it
+    does follows from it: with coins that depend on nothing but (seed, episode, step, dimension) the comparisons
     between learners are paired, and steps at which the coin forbids advice need no further work.
     """
 
     active: eqx.AbstractVar[bool]
     """Whether the advice depends on the learner's uncertainty. Static."""
-
-    @staticmethod
-    def coins(key: PRNGKeyArray, action_size: int) -> Float[Array, " action"]:
-        """The coins of one step, uniform in [0, 1). Consumes `key`."""
-        return jax.random.uniform(key, (action_size,))
 
     @abc.abstractmethod
     def may_advise(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, Real
 
@@ -86,5 +87,5 @@ class Advisor(ByIdentity):
             if self.oracle.active:
                 raise ValueError("this oracle learns actively: give sigma_human, from learner.uncertainty")
             sigma_human = jnp.zeros_like(action)
-        coins = self.oracle.coins(key, action.shape[0])
+        coins = jax.random.uniform(key, action.shape)
         return self.oracle.advise(coins, action, self.target(obs), jnp.asarray(sigma_human, float))

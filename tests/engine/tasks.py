@@ -167,7 +167,7 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
         while not at.done and status == Status.OK:
             step = int(at.time)
             action, clipped, h = propose(
-                learner, teacher, state, at.obs, streams.coin_key(seed, episode, step)
+                learner, teacher, state, at.obs, streams.coins(seed, episode, step, learner.action_size)
             )
             if np.any(h != 0):
                 state, info = learner.correct(state, at.obs, action, h)
@@ -206,11 +206,10 @@ def advance(env: Env, state: State, action: Array) -> State:
 
 
 @eqx.filter_jit
-def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, key: PRNGKeyArray) -> tuple:
+def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, coins: Array) -> tuple:
     """The action, whether it was clipped, and the advice on it: Alg. 4 with the chance of (3.6), worked out at once."""
     proposed = learner.controller(state)(obs)
     action = jnp.clip(proposed, -1.0, 1.0)
-    coins = jax.random.uniform(key, action.shape)
     chance = jnp.broadcast_to(teacher.rate, action.shape)
     if teacher.active:
         chance = jnp.minimum(teacher.active_gain * learner.uncertainty(state, obs, action) + chance, 1.0)

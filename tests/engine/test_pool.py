@@ -70,7 +70,7 @@ class Bits:
         for each in starts(self.algo):
             log = together[each.name].log
             for episode, step, dimension in log.where[: log.count]:
-                coins = each.teacher.coins(streams.coin_key(each.seed, int(episode), int(step)), 2)
+                coins = streams.coins(each.seed, int(episode), int(step), 2)
                 assert coins[dimension] < each.teacher.rate
 
     def test_against_a_plain_loop(self, pool, together):

@@ -5,31 +5,42 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.random import threefry_2x32
 
 from gpcjax.engine import streams
-from gpcjax.teachers.base import Teacher
 
 
 def bits(key) -> tuple[int, ...]:
     return tuple(np.asarray(jax.random.key_data(key)).ravel().tolist())
 
 
-def test_no_two_draws_share_a_key():
-    """Seeds, episodes, steps and the two streams: small numbers, whose sums and products collide a lot."""
+def test_threefry_is_the_one_of_jax():
+    words = np.random.default_rng(0).integers(0, 2**32, (4, 1000), dtype=np.uint32)
+    ours = jax.vmap(lambda a, b, c, d: streams.threefry((a, b), (c, d)))(*words)
+    theirs = jax.vmap(lambda a, b, c, d: threefry_2x32(jnp.stack([a, b]), jnp.stack([c, d])))(*words)
+    np.testing.assert_array_equal(np.stack(ours, 1), theirs)
+
+
+def test_no_two_draws_are_the_same():
+    """Seeds, episodes, steps and dimensions: small numbers, whose sums and products collide a lot."""
     small = range(6)
-    starts = [bits(streams.start_key(*place)) for place in itertools.product(small, small)]
-    coins = [bits(streams.coin_key(*place)) for place in itertools.product(small, small, small)]
-    assert len(set(starts + coins)) == len(starts) + len(coins)
+    starts = {bits(streams.start_key(*place)) for place in itertools.product(small, small)}
+    assert len(starts) == 6**2
+    coins = jax.vmap(lambda *place: streams.coins(*place, 6))
+    drawn = coins(*jnp.array(list(itertools.product(small, small, small))).T)
+    assert len(np.unique(drawn)) == 6**4
 
 
-def test_the_same_place_means_the_same_key():
+def test_the_same_place_means_the_same_draws():
     """As Python numbers, traced, or in a batch."""
     place = (7, 3, 1234)
-    expected = bits(streams.coin_key(*place))
+    expected = streams.coins(*place, 2)
     traced = (jnp.asarray(7), jnp.asarray(3, jnp.int32), jnp.asarray(1234, jnp.int32))
-    assert bits(jax.jit(streams.coin_key)(*traced)) == expected
-    batch = jax.vmap(streams.coin_key)(jnp.array([1, 7]), jnp.array([0, 3]), jnp.array([9, 1234]))
-    assert bits(batch[1]) == expected
+    np.testing.assert_array_equal(jax.jit(streams.coins, static_argnums=3)(*traced, 2), expected)
+    batch = jax.vmap(lambda *place: streams.coins(*place, 2))(
+        jnp.array([1, 7]), jnp.array([0, 3]), jnp.array([9, 1234])
+    )
+    np.testing.assert_array_equal(batch[1], expected)
     assert bits(jax.jit(streams.start_key)(*traced[:2])) == bits(streams.start_key(7, 3))
 
 
@@ -42,7 +53,7 @@ def test_seeds_up_to_the_largest_that_a_sweep_takes_differ():
 def test_coins_are_uniform_and_independent():
     """Of their neighbours in every direction, and of the other action dimension."""
     seed, episode, step = jnp.meshgrid(jnp.arange(20), jnp.arange(10), jnp.arange(100), indexing="ij")
-    draw = jax.vmap(lambda *place: Teacher.coins(streams.coin_key(*place), 2))
+    draw = jax.vmap(lambda *place: streams.coins(*place, 2))
     coins = np.asarray(draw(seed.ravel(), episode.ravel(), step.ravel())).reshape(20, 10, 100, 2)
     assert ((coins >= 0) & (coins < 1)).all()
     counts = np.histogram(coins, bins=20, range=(0, 1))[0] / coins.size
@@ -58,5 +69,5 @@ def test_coins_are_uniform_and_independent():
 def test_starts_and_coins_of_one_place_are_independent():
     place = (jnp.repeat(jnp.arange(100), 30), jnp.tile(jnp.arange(30), 100))
     start = jax.vmap(lambda *p: jax.random.uniform(streams.start_key(*p)))(*place)
-    coin = jax.vmap(lambda *p: jax.random.uniform(streams.coin_key(*p, 0)))(*place)
+    coin = jax.vmap(lambda *p: streams.coins(*p, 0, 1)[0])(*place)
     assert abs(np.corrcoef(start, coin)[0, 1]) < 0.07

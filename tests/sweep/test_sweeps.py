@@ -153,7 +153,7 @@ def test_against_a_plain_loop(reference):
     def step(cell, learner, teacher, state, at):
         """Act, and hear what the oracle says (Alg. 4); then the task's next state."""
         action = learner.act(state, at.obs)
-        coins = teacher.coins(streams.coin_key(cell.seed, 0, at.time), 1)
+        coins = streams.coins(cell.seed, 0, at.time, 1)
         gap = expert(at.obs) - action
         advice = jnp.where(jnp.abs(gap) > cell.delta, jnp.sign(gap), 0.0) * (coins < cell.rate)
         return action, jnp.where(coins < cell.rate * cell.error, -advice, advice), env.step(at, action)
