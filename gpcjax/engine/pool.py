@@ -22,7 +22,7 @@ from gpcjax.envs.base import Env
 from gpcjax.learners.base import Learner
 from gpcjax.teachers.base import Teacher
 
-CHUNK_SECONDS = 0.05
+CHUNK_SECONDS = 0.02
 """About how long the compiled program runs between two looks of the host."""
 
 MOST_ROUNDS = 4096
@@ -31,12 +31,11 @@ MOST_ROUNDS = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Tier:
-    """One block: room for these points in each dictionary, its width, and how many lanes it corrects at once."""
+    """One block: room for these points in each dictionary, and its width."""
 
     policy_capacity: int
     human_capacity: int
     lanes: int
-    group: int = 2
 
 
 TIERS = (
@@ -172,9 +171,7 @@ class _Block:
         self.waiting: deque[tuple[Any, Lane]] = deque()
         """Lanes of the smaller tier that need this one."""
         self._pool, self._template = pool, template
-        self._loop = Loop(
-            env=pool._env, expert=expert, episodes=pool._episodes, grows=not last, group=tier.group
-        )
+        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last)
         self._lanes: Lane | None = None
         self._programs: dict[str, Callable[..., Lane]] = {}
         self._rounds = 16

@@ -2,8 +2,7 @@
 
 Most steps of a lane need nothing but its controller and its task. So a round lets all lanes step until they meet a coin
 that may bring advice (or the end of an episode, or of a few steps), then turns to those that wait: it asks the teacher,
-gathers the few lanes that were really corrected, a small group at a time, updates their learners, and puts them
-back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
+takes out the few lanes that are really corrected, one at a time, updates their learners, and puts them back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
 
 A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into a
 block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own
@@ -20,9 +19,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from gpcjax.engine import streams
-from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, Lane, Phase, Tally, coin_window
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, CorrectionLog, Lane, Phase, Tally, coin_window
 from gpcjax.envs.base import Env
-from gpcjax.learners.base import Info, Status
+from gpcjax.learners.base import Info, Learner, Status
 
 Expert = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
 
@@ -36,7 +35,6 @@ class Loop(eqx.Module):
         episodes: of every lane. Static.
         grows: lanes without room leave the block. Static.
         stride: steps between two looks at the waiting lanes, less than `WINDOW`. Static.
-        group: lanes that are corrected at once. Static.
     """
 
     env: Env
@@ -44,7 +42,6 @@ class Loop(eqx.Module):
     episodes: int = eqx.field(static=True)
     grows: bool = eqx.field(static=True, default=True)
     stride: int = eqx.field(static=True, default=8)
-    group: int = eqx.field(static=True, default=8)
 
     def advance(self, block: Lane, rounds: Int[Array, ""]) -> Lane:
         """Up to `rounds` rounds, fewer if no lane is running any more."""
@@ -147,51 +144,48 @@ class Loop(eqx.Module):
         if not block.teacher.active:
             return sigma
 
-        def body(
-            chosen: Int[Array, " group"], sigma: Float[Array, "action lanes"]
-        ) -> Float[Array, "action lanes"]:
-            values = jax.vmap(
+        def body(lane: Int[Array, ""], sigma: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
+            value = _opaque(
+                lane,
                 lambda learner, state, obs, action: learner._uncertainty(state, obs, action),
-                in_axes=(0, 0, -1, -1),
-            )(
-                _take(block.learner, chosen, 0),
-                _take(block.state, chosen, 0),
-                _take(block.env.obs, chosen, -1),
-                _take(block.action, chosen, -1),
+                _take(block.learner, lane, 0),
+                _take(block.state, lane, 0),
+                _take(block.env.obs, lane, -1),
+                _take(block.action, lane, -1),
             )
-            return sigma.at[:, chosen].set(values.T, mode="drop")
+            return _put(sigma, lane, value, -1)
 
-        return self._each_group(block.waiting, body, sigma)
+        return _each(block.waiting, body, sigma)
 
     def _correct(self, block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
         """Alg. 2's lines 6 to 14 (Alg. 1's 6 to 13) for the lanes that were given advice."""
-        inputs = (block.env.obs, block.action, advice)
-        learner = block.learner
-        carry = (block.state, block.controller, block.tally, block.log, block.status)
 
-        def body(chosen: Int[Array, " group"], carry: PyTree) -> PyTree:
+        def correct(learner: Learner, state: PyTree, obs: Array, action: Array, h: Array) -> PyTree:
+            state, info = learner._correct(state, obs, action, h)
+            return state, learner.controller(state), info
+
+        def body(lane: Int[Array, ""], carry: PyTree) -> PyTree:
             states, controllers, tally, log, status = carry
-            obs, action, h = (_take(array, chosen, -1) for array in inputs)
-            learners = _take(learner, chosen, 0)
-            state, info = jax.vmap(
-                lambda learner, state, obs, action, h: learner._correct(state, obs, action, h),
-                in_axes=(0, 0, -1, -1, -1),
-            )(learners, _take(states, chosen, 0), obs, action, h)
-            controller = jax.vmap(lambda learner, state: learner.controller(state), out_axes=-1)(
-                learners, state
+            h = _take(advice, lane, -1)
+            state, controller, info = _opaque(
+                lane,
+                correct,
+                _take(block.learner, lane, 0),
+                _take(states, lane, 0),
+                _take(block.env.obs, lane, -1),
+                _take(block.action, lane, -1),
+                h,
             )
-            given = (h != 0).T
-            episode, step = block.episode[chosen], block.env.time[chosen]
             return (
-                _put(states, chosen, state, 0),
-                _put(controllers, chosen, controller, -1),
-                _count_corrections(tally, chosen, info, given),
-                _log(log, chosen, info, given, episode, step),
-                status.at[chosen].set(info.status, mode="drop"),
+                _put(states, lane, state, 0),
+                _put(controllers, lane, controller, -1),
+                _count_corrections(tally, lane, info, h != 0),
+                _log(log, lane, info, h != 0, block.episode[lane], block.env.time[lane]),
+                status.at[lane].set(info.status),
             )
 
-        pending = (advice != 0).any(0)
-        state, controller, tally, log, status = self._each_group(pending, body, carry)
+        carry = (block.state, block.controller, block.tally, block.log, block.status)
+        state, controller, tally, log, status = _each((advice != 0).any(0), body, carry)
         stopped = (status != Status.OK) & (block.phase == Phase.RUNNING)
         return dataclasses.replace(
             block,
@@ -202,24 +196,6 @@ class Loop(eqx.Module):
             status=status,
             phase=jnp.where(stopped, jnp.int32(Phase.FINISHED), block.phase),
         )
-
-    def _each_group(
-        self,
-        pending: Bool[Array, " lanes"],
-        body: Callable[[Int[Array, " group"], PyTree], PyTree],
-        carry: PyTree,
-    ) -> PyTree:
-        """`body(lanes, carry)` for all pending lanes, `group` at a time; missing ones have an index out of bounds."""
-        lanes = pending.shape[0]
-
-        def one(loop: tuple[Bool[Array, " lanes"], PyTree]) -> tuple[Bool[Array, " lanes"], PyTree]:
-            pending, carry = loop
-            rank = jnp.cumsum(pending) - 1
-            wanted = (rank[None] == jnp.arange(self.group)[:, None]) & pending[None]
-            chosen = jnp.where(wanted.any(1), wanted.argmax(1), lanes).astype(jnp.int32)
-            return pending & (rank >= self.group), body(chosen, carry)
-
-        return lax.while_loop(lambda loop: loop[0].any(), one, (pending, carry))[1]
 
     def _execute(self, block: Lane) -> Lane:
         """The step that the waiting lanes have chosen before they were corrected."""
@@ -276,55 +252,79 @@ class Loop(eqx.Module):
         return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window_start
 
 
-def _take(tree: PyTree, chosen: Int[Array, " group"], axis: int) -> PyTree:
+def _each(
+    pending: Bool[Array, " lanes"], body: Callable[[Int[Array, ""], PyTree], PyTree], carry: PyTree
+) -> PyTree:
+    """`body(lane, carry)` for each pending lane. Most rounds have none or one."""
+
+    def one(loop: tuple[Bool[Array, " lanes"], PyTree]) -> tuple[Bool[Array, " lanes"], PyTree]:
+        pending, carry = loop
+        lane = pending.argmax().astype(jnp.int32)
+        return pending.at[lane].set(False), body(lane, carry)
+
+    return lax.while_loop(lambda loop: loop[0].any(), one, (pending, carry))[1]
+
+
+def _opaque(lane: Int[Array, ""], function: Callable[..., PyTree], *operands: PyTree) -> PyTree:
+    """`function(*operands)` behind a condition that always holds, which XLA does not know.
+
+    It has to finish the operands before, and the results before anything is made of them. Otherwise it fuses the
+    reading of a lane into its update, can then no longer update the block in place, and copies all of it: ten times the
+    time of a correction (`benchmarks/README.md`).
+    """
+    result = jax.eval_shape(function, *operands)
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), result)
+    return lax.cond(lane >= 0, function, lambda *_: nothing, *operands)
+
+
+def _take(tree: PyTree, lane: Int[Array, ""], axis: int) -> PyTree:
     def take(leaf: Array) -> Array:
-        # What stands for a missing lane is computed, and dropped when it is put back.
-        index = jnp.minimum(chosen, leaf.shape[axis] - 1)
-        return leaf.at[(index,) if axis == 0 else (..., index)].get(mode="promise_in_bounds")
+        return lax.dynamic_index_in_dim(leaf, lane, axis % leaf.ndim, keepdims=False)
 
     return jax.tree.map(take, tree)
 
 
-def _put(tree: PyTree, chosen: Int[Array, " group"], values: PyTree, axis: int) -> PyTree:
+def _put(tree: PyTree, lane: Int[Array, ""], values: PyTree, axis: int) -> PyTree:
     def put(leaf: Array, value: Array) -> Array:
-        index = (chosen,) if axis == 0 else (..., chosen)
-        return leaf.at[index].set(value, mode="drop")
+        return lax.dynamic_update_index_in_dim(leaf, value, lane, axis % leaf.ndim)
 
     return jax.tree.map(put, tree, values)
 
 
 def _count_corrections(
-    tally: Tally, chosen: Int[Array, " group"], info: Info, given: Bool[Array, "group action"]
+    tally: Tally, lane: Int[Array, ""], info: Info, given: Bool[Array, " action"]
 ) -> Tally:
-    learned = given & ~(info.full & (info.status == Status.FULL)[:, None])
+    learned = given & ~(info.full & (info.status == Status.FULL))
     added = {
-        "corrections": learned.sum(1),
-        "rate_sum": jnp.where(learned, info.rate, 0.0).sum(1),
-        "full": info.full.sum(1),
+        "corrections": learned.sum(),
+        "rate_sum": jnp.where(learned, info.rate, 0.0).sum(),
+        "full": info.full.sum(),
     }
+    sums = {name: getattr(tally, name) for name in added}
     return dataclasses.replace(
         tally,
-        **{
-            name: getattr(tally, name).at[chosen].add(value.astype(getattr(tally, name).dtype), mode="drop")
-            for name, value in added.items()
-        },
+        **{name: value.at[lane].add(added[name].astype(value.dtype)) for name, value in sums.items()},
     )
 
 
-def _log(log, chosen, info: Info, given: Bool[Array, "group action"], episode, step):
-    for dimension in range(given.shape[1]):
-        there = given[:, dimension]
-        position = jnp.where(there, jnp.take(log.count, chosen, mode="clip"), LOGGED_CORRECTIONS)
-        where = jnp.stack([episode, step, jnp.full_like(step, dimension)], 1)
-        values = jnp.stack([info.rate, info.sigma_policy, info.sigma_human], -1)[:, dimension]
-        outcome = jnp.stack([info.appended, info.replaced, info.full], -1)[:, dimension]
-        log = dataclasses.replace(
-            log,
-            count=log.count.at[chosen].add(
-                (there & (position < LOGGED_CORRECTIONS)).astype(jnp.int32), mode="drop"
-            ),
-            where=log.where.at[chosen, position].set(where, mode="drop"),
-            values=log.values.at[chosen, position].set(values, mode="drop"),
-            outcome=log.outcome.at[chosen, position].set(outcome, mode="drop"),
+def _log(
+    log: CorrectionLog,
+    lane: Int[Array, ""],
+    info: Info,
+    given: Bool[Array, " action"],
+    episode: Int[Array, ""],
+    step: Int[Array, ""],
+) -> CorrectionLog:
+    for dimension in range(given.shape[0]):
+        # A place behind the last one is dropped.
+        position = jnp.where(given[dimension], log.count[lane], LOGGED_CORRECTIONS)
+        where = jnp.stack([episode, step, jnp.full_like(step, dimension)])
+        values = jnp.stack([info.rate, info.sigma_policy, info.sigma_human])[:, dimension]
+        outcome = jnp.stack([info.appended, info.replaced, info.full])[:, dimension]
+        log = CorrectionLog(
+            count=log.count.at[lane].add((position < LOGGED_CORRECTIONS).astype(jnp.int32)),
+            where=log.where.at[lane, position].set(where, mode="drop"),
+            values=log.values.at[lane, position].set(values, mode="drop"),
+            outcome=log.outcome.at[lane, position].set(outcome, mode="drop"),
         )
     return log

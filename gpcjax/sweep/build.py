@@ -15,7 +15,7 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.teachers.oracle import Advisor, Oracle
 
-COACH_TIER = Tier(1, 1, lanes=64, group=8)
+COACH_TIER = Tier(1, 1, lanes=64)
 """The one block that COACH needs: it has no dictionary."""
 
 _TEACHING = ("active_gain",)

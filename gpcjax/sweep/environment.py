@@ -20,7 +20,7 @@ XLA_OPTIONS = (
     "--xla_cpu_experimental_ynn_fusion_type=",
     # A loop whose arrays take less than this is compiled as one function; otherwise its steps are dispatched
     # operation by operation, which costs more than they do.
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1048576",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=67108864",
 )
 """Measured in `benchmarks/README.md`: together they halve the time of a round."""
 
