@@ -7,6 +7,7 @@ empty places are masked: so the bits of a lane do not depend on what else is run
 """
 
 import dataclasses
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -24,6 +25,9 @@ from gpcjax.teachers.base import Teacher
 
 CHUNK_SECONDS = 0.02
 """About how long the compiled program runs between two looks of the host."""
+
+ENTER = 16
+"""Lanes that are put into a block by one call, at most."""
 
 MOST_ROUNDS = 4096
 """Rounds between two looks at most: a chunk that ends early, for want of lanes, tells nothing of their length."""
@@ -129,17 +133,12 @@ class Pool:
             if index is None:
                 return
             block = blocks[index]
-            while block.free:
-                if block.waiting:
-                    block.promote(block.waiting.popleft())
-                elif index == 0 and not exhausted:
-                    start = next_start()
-                    if start is None:
-                        exhausted = True
-                    else:
-                        block.begin(start)
-                else:
-                    break
+            if index == 0 and not exhausted:
+                starts = list(itertools.islice(iter(next_start, None), block.free))
+                exhausted = len(starts) < block.free
+                block.begin(starts)
+            else:
+                block.promote([block.waiting.popleft() for _ in range(min(block.free, len(block.waiting)))])
             if not block.names:
                 continue
             for name, lane in block.chunk():
@@ -177,33 +176,30 @@ class _Block:
         self._rounds = 16
 
     @property
-    def free(self) -> bool:
-        return len(self.names) < self.tier.lanes
+    def free(self) -> int:
+        """Places without a run."""
+        return self.tier.lanes - len(self.names)
 
     @property
     def work(self) -> int:
         return len(self.names) + len(self.waiting)
 
-    def begin(self, start: Start) -> None:
-        """Puts a new lane into a free place."""
-        arguments = (start.learner, start.teacher, np.int64(start.seed))
+    def begin(self, starts: Sequence[Start]) -> None:
+        """Puts new lanes into free places."""
 
-        def begin(block: Lane, place: Any, learner: Learner, teacher: Teacher, seed: Any) -> Lane:
-            return _insert(
-                block, place, self._sized(fresh(self._loop.env, learner, teacher, seed, self._loop.episodes))
-            )
+        def make(learner: Learner, teacher: Teacher, seed: Any) -> Lane:
+            return fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)
 
-        self._place("begin", begin, start.name, *arguments)
+        entries = [(start.learner, start.teacher, np.int64(start.seed)) for start in starts]
+        self._enter("begin", make, [start.name for start in starts], entries)
 
-    def promote(self, waiting: tuple[Any, Lane]) -> None:
-        """Puts a lane that outgrew the smaller tier into a free place; its correction is still to come."""
-        name, lane = waiting
+    def promote(self, waiting: Sequence[tuple[Any, Lane]]) -> None:
+        """Puts lanes that outgrew the smaller tier into free places; their corrections are still to come."""
 
-        def promote(block: Lane, place: Any, lane: Lane) -> Lane:
-            lane = dataclasses.replace(lane, phase=jnp.asarray(Phase.RUNNING, lane.phase.dtype))
-            return _insert(block, place, self._sized(lane))
+        def make(lane: Lane) -> Lane:
+            return dataclasses.replace(lane, phase=jnp.asarray(Phase.RUNNING, lane.phase.dtype))
 
-        self._place("promote", promote, name, lane)
+        self._enter("promote", make, [name for name, _ in waiting], [(lane,) for _, lane in waiting])
 
     def chunk(self) -> list[tuple[Any, Lane]]:
         """Advances all lanes for a while; gives those that leave, with their names."""
@@ -225,7 +221,8 @@ class _Block:
         self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._pool.counters.chunks += 1
         leaving = [place for place in self.names if phases[place] != Phase.RUNNING]
-        result = [(self.names.pop(place), self._take(place)) for place in leaving]
+        lanes = self._take(leaving)
+        result = [(self.names.pop(place), lane) for place, lane in zip(leaving, lanes, strict=True)]
         if leaving:
             phases[leaving] = Phase.EMPTY
             self._lanes = dataclasses.replace(self._lanes, phase=jnp.asarray(phases))
@@ -244,12 +241,29 @@ class _Block:
         state = lane.learner.resize(lane.state, self.tier.policy_capacity, self.tier.human_capacity)
         return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
 
-    def _place(self, program: str, function: Callable[..., Lane], name: Any, *arguments: Any) -> None:
+    def _enter(
+        self, program: str, make: Callable[..., Lane], names: Sequence[Any], entries: Sequence[tuple]
+    ) -> None:
+        """Puts `make(*entry)` into a free place for each entry, several in one call."""
         if self._lanes is None:
             self._lanes = self._empty()
-        place = next(place for place in range(self.tier.lanes) if place not in self.names)
-        self._lanes = self._call(program, function, np.int32(place), *arguments)
-        self.names[place] = name
+
+        def enter(block: Lane, places: Any, count: Any, entries: tuple) -> Lane:
+            def one(i: Any, block: Lane) -> Lane:
+                entry = jax.tree.map(lambda leaf: leaf[i], entries)
+                return _insert(block, places[i], self._sized(make(*entry)))
+
+            return jax.lax.fori_loop(0, count, one, block)
+
+        at_once = min(ENTER, self.tier.lanes)
+        free = [place for place in range(self.tier.lanes) if place not in self.names]
+        for first in range(0, len(entries), at_once):
+            batch = entries[first : first + at_once]
+            places = np.resize(np.array(free[first : first + len(batch)], np.int32), at_once)
+            padded = [*batch, *[batch[-1]] * (at_once - len(batch))]
+            stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+            self._lanes = self._call(program, enter, places, np.int32(len(batch)), stacked)
+        self.names.update(zip(free, names, strict=False))
 
     def _call(self, program: str, function: Callable[..., Lane], *arguments: Any) -> Lane:
         """Runs a program on the block, which it consumes; compiles it the first time."""
@@ -280,10 +294,14 @@ class _Block:
         block = map_lanes(zeros, shapes)
         return dataclasses.replace(block, phase=jnp.full(self.tier.lanes, Phase.EMPTY, jnp.int32))
 
-    def _take(self, place: int) -> Lane:
-        """A copy of one lane, on the host."""
+    def _take(self, places: Sequence[int]) -> list[Lane]:
+        """Copies of lanes, on the host."""
+        if not places:
+            return []
         assert self._lanes is not None
-        return map_lanes(lambda leaf, axis: np.take(np.asarray(leaf), place, axis=axis), self._lanes)
+        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self._lanes)
+        leaves, structure = jax.tree.flatten(taken)
+        return [structure.unflatten([leaf[i] for leaf in leaves]) for i in range(len(places))]
 
 
 def _insert(block: Lane, place: Any, lane: Lane) -> Lane:

@@ -2,7 +2,8 @@
 
 Most steps of a lane need nothing but its controller and its task. So a round lets all lanes step until they meet a coin
 that may bring advice (or the end of an episode, or of a few steps), then turns to those that wait: it asks the teacher,
-takes out the few lanes that are really corrected, one at a time, updates their learners, and puts them back. Whatever a lane computes depends on that lane alone; its neighbours decide only when.
+takes out the few lanes that are really corrected, one at a time, updates their learners, and puts them back. Whatever
+a lane computes depends on that lane alone; its neighbours decide only when.
 
 A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into a
 block of larger capacity (`gpcjax.engine.pool`). On the largest capacity `grows` is false, and the learner's own

@@ -1,5 +1,7 @@
 """Where names become objects: learners, teachers and pools for the cells of a sweep."""
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +26,13 @@ _TEACHING = ("active_gain",)
 
 def start_of(cell: Cell) -> Start:
     """The lane of a cell: its numbers, on the host."""
+    learner, teacher = _parts(dataclasses.replace(cell, seed=0))
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed)
+
+
+@functools.lru_cache(maxsize=1024)
+def _parts(cell: Cell) -> tuple[Learner, Oracle]:
+    """Learner and teacher of a cell, which all seeds share."""
     values = dict(cell.hyperparameters)
     options: dict[str, Any] = {name: value for name, value in values.items() if name not in _TEACHING}
     if cell.algo != "coach":
@@ -35,9 +44,8 @@ def start_of(cell: Cell) -> Start:
             "on_full": cell.on_full,
         }
     learner: Learner = make_learner(cell.algo, cell.env, **options)
-    gain = values.get("active_gain", 0.0)
-    learner, teacher = jax.tree.map(np.asarray, (learner, _oracle(cell.rate, cell.error, cell.delta, gain)))
-    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed)
+    teacher = _oracle(cell.rate, cell.error, cell.delta, values.get("active_gain", 0.0))
+    return jax.tree.map(np.asarray, (learner, teacher))
 
 
 def make_pool(cell: Cell) -> Pool:

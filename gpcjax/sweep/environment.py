@@ -32,7 +32,7 @@ def computing_environment() -> dict[str, str]:
 
 
 def worker_environment() -> dict[str, str]:
-    """This process's environment as a worker gets it, with compiled programs kept from one sweep to the next.
+    """The present environment as a worker gets it, with compiled programs kept from one sweep to the next.
 
     XLA's programs are cached below `$XDG_CACHE_HOME/gpcjax` (`~/.cache/gpcjax`), apart for each kind of processor: what
     is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected.
