@@ -7,9 +7,12 @@ entry of the Gram matrix, and the factor is computed anew, O(n^3).
 """
 
 import dataclasses
+import functools
+import math
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp import factor
@@ -165,16 +168,35 @@ class GaussianProcess(eqx.Module):
         return dataclasses.replace(data, matrix=root, weights=weights)
 
     def _refactor(self, before: Posterior, data: Posterior, write: Bool[Array, ""]) -> Posterior:
-        active = data.active
-        scale = normalising_scale(data.points, active)
-        lower = factor.cholesky(self.kernel.gram(data.points, scale), active, self.noise)
-        lower = jnp.where(write, lower, before.matrix)
-        scale = jnp.where(write, scale, before.scale)
-        weights = before.weights
+        scale = normalising_scale(data.points, data.active)
+        sizes = _leading_sizes(data.capacity)
+        smallest = jnp.searchsorted(jnp.array(sizes), data.count)
+        branches = [functools.partial(self._factor_leading, size) for size in sizes]
+        lower, weights = lax.switch(smallest, branches, data, scale)
+        return dataclasses.replace(
+            data,
+            matrix=jnp.where(write, lower, before.matrix),
+            scale=jnp.where(write, scale, before.scale),
+            weights=jnp.where(write, weights, before.weights),
+        )
+
+    def _factor_leading(
+        self, size: int, data: Posterior, scale: Float[Array, " d"]
+    ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
+        """Factor and weights from the first `size` rows, which hold all points in use."""
+        points, active = data.points[:size], data.active[:size]
+        lower = factor.cholesky(self.kernel.gram(points, scale), active, self.noise)
+        weights = data.weights
         if self.keeps_weights:
-            solved = factor.solve(lower, factor.solve(lower, data.targets), transpose=True)
-            weights = jnp.where(write, solved, weights)
-        return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
+            solved = factor.solve(lower, data.targets[:size])
+            weights = weights.at[:size].set(factor.solve(lower, solved, transpose=True))
+        return jnp.eye(data.capacity).at[:size, :size].set(lower), weights
+
+
+def _leading_sizes(capacity: int) -> tuple[int, ...]:
+    """Up to four sizes, so that a dictionary that has grown little is not factorised with all of its empty rows."""
+    quarter = 8 * max(2, math.ceil(capacity / 32))
+    return (*range(quarter, capacity, quarter), capacity)
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:

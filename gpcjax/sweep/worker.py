@@ -9,6 +9,8 @@ Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), 
 more), ("baseline", env, name), ("stop",).
 """
 
+import ctypes
+import gc
 import os
 import signal
 import sys
@@ -47,6 +49,7 @@ class Worker:
             match self._ask("ready"):
                 case ("program", Cell() as cell):
                     self._teach(cell)
+                    give_back_memory()
                 case ("baseline", str() as env, str() as name):
                     self._connection.send(("baseline", name, baseline(env, name)))
                 case _:
@@ -85,6 +88,14 @@ class Worker:
     def _ask(self, question: str) -> tuple:
         self._connection.send((question,))
         return self._connection.recv()
+
+
+def give_back_memory() -> None:
+    """Returns what a pool and its compilations have left: hundreds of MiB, which the allocator would keep."""
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
+    if trim is not None:
+        trim(0)
 
 
 def rows_of(cell: Cell, lane: Lane) -> CellRows:
