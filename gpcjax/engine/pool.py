@@ -43,17 +43,17 @@ class Tier:
 
 
 TIERS = (
-    Tier(64, 64, 64),
-    Tier(96, 128, 64),
-    Tier(128, 256, 32),
+    Tier(48, 64, 32),
+    Tier(96, 128, 16),
+    Tier(128, 256, 16),
     Tier(256, 512, 16),
     Tier(512, 1024, 8),
     Tier(1024, 1024, 4),
 )
 """Human models only append and outgrow policies, which SPARS keeps small.
 
-Measured on two CPU cores: few tiers, as each costs seconds to compile, and small groups, as most rounds of most
-blocks have no more than one correction.
+Measured on a CPU (`benchmarks/README.md`): few tiers, as each costs seconds to compile; narrow ones, as time is
+proportional to the width from 32 lanes on, and those few that outgrow the others run alone in the end.
 """
 
 
