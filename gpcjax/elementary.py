@@ -30,13 +30,13 @@ _SIN = [(-1) ** k / math.factorial(2 * k + 1) for k in range(8)]
 _COS = [(-1) ** k / math.factorial(2 * k) for k in range(9)]
 """Taylor coefficients; on the short intervals where they are used the rest is below 1e-16."""
 
-_LARGEST = 708.0
-"""exp(-708) is the last that is a normal number."""
+_SMALLEST = -708.0
+"""exp(-708) = 3e-308: what is smaller is no normal number, and taken for zero."""
 
 
 @jax.custom_jvp
 def decay(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """exp(-x) for x >= 0, to a relative error of 1e-15 (3e-308 where x > 708). NaN stays NaN."""
+    """exp(-x) for x >= 0, to a relative error of 1e-15; zero where x > 708. NaN stays NaN."""
     return lax.platform_dependent(x, cpu=_decay, default=lambda x: jnp.exp(-x))
 
 
@@ -59,12 +59,14 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array
 
 
 def _decay(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    x = -jnp.minimum(x, _LARGEST)
-    power = _nearest(x * _LOG2_E)
-    value = _horner(_EXP, (x - power * _LN2[0]) - power * _LN2[1])
-    return lax.bitcast_convert_type(
+    x = -x
+    limited = jnp.maximum(x, _SMALLEST)
+    power = _nearest(limited * _LOG2_E)
+    value = _horner(_EXP, (limited - power * _LN2[0]) - power * _LN2[1])
+    value = lax.bitcast_convert_type(
         lax.bitcast_convert_type(value, jnp.int64) + (_low_bits(power) << 52), value.dtype
     )
+    return jnp.where(x < _SMALLEST, 0.0, value)
 
 
 def _sin_cos(x: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:

@@ -35,11 +35,19 @@ MOST_ROUNDS = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Tier:
-    """One block: room for these points in each dictionary, and its width."""
+    """One block: room for these points in each dictionary, and its width.
+
+    The width is a power of two, and a full vector at least. Then all lanes go through the same instructions; otherwise
+    some may be left to scalar ones, which round differently, and the bits of a run would depend on its place.
+    """
 
     policy_capacity: int
     human_capacity: int
     lanes: int
+
+    def __post_init__(self) -> None:
+        if self.lanes < 8 or self.lanes & (self.lanes - 1):
+            raise ValueError(f"a block of {self.lanes} lanes: give a power of two, 8 or more")
 
 
 TIERS = (
@@ -48,7 +56,7 @@ TIERS = (
     Tier(128, 256, 16),
     Tier(256, 512, 16),
     Tier(512, 1024, 8),
-    Tier(1024, 1024, 4),
+    Tier(1024, 1024, 8),
 )
 """Human models only append and outgrow policies, which SPARS keeps small.
 
@@ -62,7 +70,7 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
     largest, beyond = TIERS[-1].policy_capacity, list[Tier]()
     while largest < max_capacity:
         largest *= 2
-        beyond.append(Tier(largest, largest, 4))
+        beyond.append(Tier(largest, largest, 8))
     chosen: list[Tier] = []
     for tier in (*TIERS, *beyond):
         policy, human = min(tier.policy_capacity, max_capacity), min(tier.human_capacity, max_capacity)

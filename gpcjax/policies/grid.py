@@ -53,6 +53,7 @@ class GridController(Controller):
         total = self.weights
         for i, values in reversed(list(enumerate(self.grid.memberships(obs)))):
             # Written out, not as a reduction: XLA then makes one loop of it, over lanes, with no array in between.
+            values = values.reshape(values.shape[0], *[1] * (1 + i), *values.shape[1:])
             terms = (
                 lax.index_in_dim(total, k, 1 + i, keepdims=False) * values[k] for k in range(len(values))
             )

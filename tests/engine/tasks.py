@@ -23,11 +23,11 @@ from gpcjax.teachers.oracle import Oracle
 EPISODES = 4
 ALGORITHMS = ("gpc", "gpc-ns", "coach")
 TIERS = {
-    "gpc": (Tier(4, 4, 4), Tier(8, 16, 5, 2), Tier(64, 64, 3, 1)),
-    "gpc-ns": (Tier(4, 4, 5, 2), Tier(64, 64, 3, 1)),
-    "coach": (Tier(1, 1, 5),),
+    "gpc": (Tier(4, 4, 8), Tier(8, 16, 8), Tier(64, 64, 8)),
+    "gpc-ns": (Tier(4, 4, 8), Tier(64, 64, 16)),
+    "coach": (Tier(1, 1, 8),),
 }
-"""Small ones, so that lanes pass through them all; widths and groups that vector instructions do not divide."""
+"""Small ones, so that lanes pass through them all."""
 
 
 class Drift(Env):
@@ -108,6 +108,10 @@ def starts(algo: str) -> list[Start]:
         (0, {"delta": 0.5}, {}),
         (5, {"rate": 0.02}, free),
         (6, {"rate": 1.0, "delta": 0.0}, free),
+        (7, {"rate": 0.02}, {}),
+        (8, {"rate": 0.1}, {}),
+        (9, {"error": 0.2}, {}),
+        (10, {"rate": 0.01}, {}),
     ]
     return [
         start(index, learner(algo, **options), oracle(**teaching), seed)

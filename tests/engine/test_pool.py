@@ -118,7 +118,7 @@ class Bits:
 
         before = pool.counters.chunks
         assert_the_same_runs(run(pool, backwards()), together)
-        assert begun[6] == before < begun[0]
+        assert begun[10] == before < begun[0]
 
     def test_beside_a_broken_neighbour(self, pool, together):
         """A neighbour whose numbers become infinite stops by itself, and what it leaves behind does no harm."""
@@ -184,7 +184,12 @@ class TestTiers:
             assert sizes == sorted(set(sizes))
             for smaller, larger in itertools.pairwise(sizes):
                 assert smaller[0] <= larger[0] and smaller[1] <= larger[1]
-            assert all(1 <= tier.group <= tier.lanes for tier in chosen)
+            assert all(tier.lanes >= 1 for tier in chosen)
+
+    @pytest.mark.parametrize("lanes", [0, 4, 12])
+    def test_a_width_that_vectors_do_not_fill_is_refused(self, lanes):
+        with pytest.raises(ValueError, match=f"a block of {lanes} lanes: give a power of two, 8 or more"):
+            pool_module.Tier(8, 8, lanes)
 
     def test_those_below_do_not_depend_on_the_bound(self):
         """So that a larger bound changes the bits of no run that never needed it."""
