@@ -162,13 +162,13 @@ class Loop(eqx.Module):
         """Alg. 2's lines 6 to 14 (Alg. 1's 6 to 13) for the lanes that were given advice."""
 
         def correct(learner: Learner, state: PyTree, obs: Array, action: Array, h: Array) -> PyTree:
-            state, info = learner._correct(state, obs, action, h)
-            return state, learner.controller(state), info
+            change, info = learner._correct(state, obs, action, h)
+            return change, learner.controller(learner._write(state, (), change)), info
 
         def body(lane: Int[Array, ""], carry: PyTree) -> PyTree:
             states, controllers, tally, log, status = carry
             h = _take(advice, lane, -1)
-            state, controller, info = _opaque(
+            change, controller, info = _opaque(
                 lane,
                 correct,
                 _take(block.learner, lane, 0),
@@ -178,7 +178,7 @@ class Loop(eqx.Module):
                 h,
             )
             return (
-                _put(states, lane, state, 0),
+                block.learner._write(states, (lane,), change),
                 _put(controllers, lane, controller, -1),
                 _count_corrections(tally, lane, info, h != 0),
                 _log(log, lane, info, h != 0, block.episode[lane], block.env.time[lane]),

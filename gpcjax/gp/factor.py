@@ -37,17 +37,20 @@ def append(
     variance: Float[Array, ""],
     write: Bool[Array, ""],
 ) -> tuple[Root, Vector]:
-    """Adds a point in the free row `index`; gives the new root and its row w.
+    """Adds a point in the free row `index`; gives the new root and its row, zero with `write` false."""
+    here = jnp.arange(root.shape[0]) == index
+    row = jnp.where(write, new_row(root, index, whitened, variance), 0.0)
+    return jnp.where((here & write)[:, None], row[None], root), row
+
+
+def new_row(root: Root, index: Int[Array, ""], whitened: Vector, variance: Float[Array, ""]) -> Vector:
+    """The row w that a point in the free row `index` adds; all other rows stay as they are.
 
     `whitened` is S k for the new point, `variance` its predictive variance with noise (the Schur complement).
     The precision matrix grows by w w^T, so the caller can update weights by `w * (w @ targets)`.
-    With `write` false the row is zero.
     """
     here = jnp.arange(root.shape[0]) == index
-    deviation = jnp.sqrt(variance)
-    row = jnp.where(here, 1.0, -(whitened @ root)) / deviation
-    row = jnp.where(write, row, 0.0)
-    return jnp.where((here & write)[:, None], row[None], root), row
+    return jnp.where(here, 1.0, -(whitened @ root)) / jnp.sqrt(variance)
 
 
 def remove(root: Root, index: Int[Array, ""], write: Bool[Array, ""]) -> tuple[Root, Vector]:

@@ -51,6 +51,19 @@ class Posterior(eqx.Module):
         return jnp.arange(self.capacity) < self.count
 
 
+class Appended(eqx.Module):
+    """What one more point changes in a posterior that only appends: vectors, however large its matrix is."""
+
+    index: Int[Array, ""]
+    """Row of the point; the capacity, which is no row, if nothing is to be written."""
+    count: Int[Array, ""]
+    point: Float[Array, " d"]
+    target: Float[Array, ""]
+    row: Float[Array, " n"]
+    """Of `matrix`."""
+    weights: Float[Array, " n"]
+
+
 class GaussianProcess(eqx.Module):
     """Zero-mean Gaussian process with observation noise.
 
@@ -105,6 +118,8 @@ class GaussianProcess(eqx.Module):
 
         The caller keeps `index` below the capacity wherever `write` is true.
         """
+        if not (self.normalise or self.replaces):
+            return write_appended(posterior, self.append(posterior, point, target, write))
         here = (jnp.arange(posterior.capacity) == index) & write
         appended = write & (index >= posterior.count)
         data = dataclasses.replace(
@@ -116,6 +131,33 @@ class GaussianProcess(eqx.Module):
         if self.normalise:
             return self._refactor(posterior, data, write)
         return self._update(data, posterior, point, index, write)
+
+    def append(
+        self,
+        posterior: Posterior,
+        point: Float[Array, " d"],
+        target: Float[Array, ""],
+        write: Bool[Array, ""],
+    ) -> Appended:
+        """What one more point changes, for `write_appended`. With a fixed scale only.
+
+        The caller keeps `count` below the capacity wherever `write` is true.
+        """
+        whitened = factor.whiten(posterior.matrix, self.covariances(posterior, point))
+        row = factor.new_row(posterior.matrix, posterior.count, whitened, self._variance(whitened))
+        weights = posterior.weights
+        if self.keeps_weights:
+            here = jnp.arange(posterior.capacity) == posterior.count
+            targets = jnp.where(here, target, posterior.targets)
+            weights = jnp.where(write, weights + row * (row * targets).sum(), weights)
+        return Appended(
+            index=jnp.where(write, posterior.count, posterior.capacity),
+            count=posterior.count + write.astype(posterior.count.dtype),
+            point=point,
+            target=target,
+            row=row,
+            weights=weights,
+        )
 
     def grow(self, posterior: Posterior, capacity: int) -> Posterior:
         """The same dictionary with room for `capacity` points."""
@@ -152,15 +194,14 @@ class GaussianProcess(eqx.Module):
     ) -> Posterior:
         root, weights = before.matrix, before.weights
         covariances = self.covariances(before, point)
-        if self.replaces:
-            replaced = write & (index < before.count)
-            root, column = factor.remove(root, index, replaced)
-            # Column `index` of the new root is zero, so the old point's covariance no longer matters.
-            if self.keeps_weights:
-                here = jnp.arange(before.capacity) == index
-                share = jnp.take(weights, index) / jnp.where(replaced, jnp.take(column, index), 1.0)
-                remaining = jnp.where(here, 0.0, weights - column * share)
-                weights = jnp.where(replaced, remaining, weights)
+        replaced = write & (index < before.count)
+        root, column = factor.remove(root, index, replaced)
+        # Column `index` of the new root is zero, so the old point's covariance no longer matters.
+        if self.keeps_weights:
+            here = jnp.arange(before.capacity) == index
+            share = jnp.take(weights, index) / jnp.where(replaced, jnp.take(column, index), 1.0)
+            remaining = jnp.where(here, 0.0, weights - column * share)
+            weights = jnp.where(replaced, remaining, weights)
         whitened = factor.whiten(root, covariances)
         root, row = factor.append(root, index, whitened, self._variance(whitened), write)
         if self.keeps_weights:
@@ -191,6 +232,24 @@ class GaussianProcess(eqx.Module):
             solved = factor.solve(lower, data.targets[:size])
             weights = weights.at[:size].set(factor.solve(lower, solved, transpose=True))
         return jnp.eye(data.capacity).at[:size, :size].set(lower), weights
+
+
+def write_appended(
+    posterior: Posterior, appended: Appended, where: tuple[Int[Array, ""] | int, ...] = ()
+) -> Posterior:
+    """The posterior with the new point. `where` tells its place if the fields have axes before their own."""
+    there = (*where, appended.index)
+    return eqx.tree_at(
+        lambda old: (old.points, old.targets, old.count, old.matrix, old.weights),
+        posterior,
+        (
+            posterior.points.at[there].set(appended.point, mode="drop"),
+            posterior.targets.at[there].set(appended.target, mode="drop"),
+            posterior.count.at[where].set(appended.count),
+            posterior.matrix.at[there].set(appended.row, mode="drop"),
+            posterior.weights.at[where].set(appended.weights),
+        ),
+    )
 
 
 def _leading_sizes(capacity: int) -> tuple[int, ...]:

@@ -13,6 +13,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 from gpcjax.policies.base import ByIdentity, Controller
 
 State = PyTree
+Change = PyTree
+"""What a correction changes in a state, with as little as possible of what it leaves as it is."""
 
 
 class Status(enum.IntEnum):
@@ -156,7 +158,12 @@ class Learner(ByIdentity):
         obs: Float[Array, " obs"],
         action: Float[Array, " action"],
         advice: Float[Array, " action"],
-    ) -> tuple[State, Info]: ...
+    ) -> tuple[Change, Info]:
+        """What a correction changes, for `_write`."""
+
+    @abc.abstractmethod
+    def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
+        """The state with a change; `where` is its place (an index of the first axis) among many, or empty."""
 
     def _vector(
         self, name: str, value: Real[ArrayLike, " given"] | Sequence[float], size: int
@@ -187,4 +194,5 @@ def _correct(
     action: Float[Array, " action"],
     advice: Float[Array, " action"],
 ) -> tuple[State, Info]:
-    return learner._correct(state, obs, action, advice)
+    change, info = learner._correct(state, obs, action, advice)
+    return learner._write(state, (), change), info

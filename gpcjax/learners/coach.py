@@ -10,6 +10,7 @@
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -71,6 +72,9 @@ class COACH(Learner):
 
     def _uncertainty(self, state, obs, action):
         return jnp.full(self.action_size, jnp.nan)
+
+    def _write(self, states, where, change):
+        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
 
     def _correct(self, state, obs, action, advice):
         features = self.grid.features(obs)[None]

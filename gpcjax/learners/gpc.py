@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.regression import GaussianProcess, Posterior
+from gpcjax.gp.regression import Appended, GaussianProcess, Posterior, write_appended
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
@@ -28,6 +28,16 @@ class GPCState(eqx.Module):
 
     policy: Posterior
     human: Posterior
+
+
+class GPCChange(eqx.Module):
+    """What a correction changes in a `GPCState`; fields have an axis for the action dimensions, as there.
+
+    A replaced or normalised point changes all of its factor, one that is appended one row.
+    """
+
+    policy: Posterior
+    human: Posterior | Appended
 
 
 class GPC(Learner):
@@ -111,10 +121,19 @@ class GPC(Learner):
                 self._correct_one(jax.tree.map(lambda leaf, i=i: leaf[i], state), obs, action[i], advice[i])
                 for i in range(self.action_size)
             ]
-            state, info = jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
+            change, info = jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
         else:
-            state, info = jax.vmap(self._correct_one, in_axes=(0, None, 0, 0))(state, obs, action, advice)
-        return state, dataclasses.replace(info, status=info.status.max())
+            change, info = jax.vmap(self._correct_one, in_axes=(0, None, 0, 0))(state, obs, action, advice)
+        return change, dataclasses.replace(info, status=info.status.max())
+
+    def _write(self, states, where, change):
+        whole = lambda old, new: jax.tree.map(lambda leaf, value: leaf.at[where].set(value), old, new)  # noqa: E731
+        if not isinstance(change.human, Appended):
+            return whole(states, GPCState(policy=change.policy, human=change.human))
+        human = states.human
+        for i in range(self.action_size):
+            human = write_appended(human, jax.tree.map(lambda leaf, i=i: leaf[i], change.human), (*where, i))
+        return GPCState(policy=whole(states.policy, change.policy), human=human)
 
     def _correct_one(
         self,
@@ -122,7 +141,7 @@ class GPC(Learner):
         obs: Float[Array, " obs"],
         action: Float[Array, ""],
         advice: Float[Array, ""],
-    ) -> tuple[GPCState, Info]:
+    ) -> tuple[GPCChange, Info]:
         """Alg. 2, lines 7 to 14, for one action dimension; its models have no leading axis here."""
         pair = _pair(obs, action)
         human_covariances = self.human.covariances(state.human, pair)
@@ -157,8 +176,13 @@ class GPC(Learner):
             human_index = jnp.where(human_full, human_covariances.argmax(), human_index)
 
         policy = self.policy.put(state.policy, obs, target, policy_index, policy_learns)
-        human = self.human.put(state.human, pair, advice, human_index, human_learns)
-        finite &= jnp.isfinite(policy.weights).all() & jnp.isfinite(jnp.trace(human.matrix))
+        if self.human.normalise or self.human.replaces:
+            human = self.human.put(state.human, pair, advice, human_index, human_learns)
+            finite &= jnp.isfinite(jnp.trace(human.matrix))
+        else:
+            human = self.human.append(state.human, pair, advice, human_learns)
+            finite &= jnp.isfinite(human.row).all() | ~human_learns
+        finite &= jnp.isfinite(policy.weights).all()
         refused = full if self.on_full == "error" else jnp.array(False)
         status = jnp.where(finite | ~given, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
         info = Info(
@@ -170,7 +194,7 @@ class GPC(Learner):
             full=full,
             status=status.astype(jnp.int32),
         )
-        return GPCState(policy=policy, human=human), info
+        return GPCChange(policy=policy, human=human), info
 
 
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:
