@@ -1,8 +1,7 @@
-"""Who is measured: each contender teaches on one task, counts the steps it took, and asserts that they are real.
+"""Who is measured: each contender teaches one case, counts the steps it took, and asserts that they are real.
 
-Run as `python -m benchmarks.contenders NAME ALGO ENV SIZE` (lanes of gpcjax, steps of the naive one): it prepares
-itself, says so with one line of JSON, and answers each further line it reads (a repetition's number) with one line of
-JSON, a `Measurement`.
+Run as `python -m benchmarks.contenders NAME CASE` with the case as JSON: it prepares itself, says so with one line of
+JSON, and answers each further line that it reads, the changes of a repetition as JSON, with one line: a `Measurement`.
 """
 
 import json
@@ -15,11 +14,10 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
-RATE, DELTA = 0.05, 0.05
-ERRORS = (0.0, 0.1, 0.2, 0.3)
-EXPERT = {"cartpole": "lqr", "pendulum": "energy"}
-EPISODES = {"cartpole": 10, "pendulum": 40}
-"""Of every lane of every contender but the naive one, which would take hours: equal work, from idle to learned."""
+from benchmarks.cases import ERRORS, EXPERT, Case
+
+NAIVE_STEPS = 1000
+"""Of each lane of the naive one: all episodes would take it hours."""
 
 
 @dataclass(frozen=True)
@@ -36,32 +34,36 @@ class Measurement:
     compile_seconds: float = 0.0
 
 
-Contender = Callable[[int], Measurement]
+Contender = Callable[..., Measurement]
+"""Called with `repetition`, and for gpcjax with what else is to change: `lanes` or `rate`."""
 
 
-def peer(name: str, algo: str, env: str) -> Contender:
-    """One of `benchmarks.peers`, one lane for each error rate, each through as many episodes as gpcjax's."""
+def peer(name: str, case: Case) -> Contender:
+    """One of `benchmarks.peers`, a few lanes for each error rate, each through as many episodes as gpcjax's."""
     from benchmarks.peers import numpy_loop, sklearn_loop
 
     options: dict[str, Any] = {"human_every_step": True} if name == "sklearn" else {}
     run = numpy_loop.run if name == "numpy" else sklearn_loop.run
+    seeds = 4 if name == "numpy" and case.name == "usual" else 1
 
     def measure(repetition: int) -> Measurement:
         results = [
             run(
-                algo,
-                env,
+                case.algo,
+                case.env,
                 steps=sys.maxsize,
-                episodes=EPISODES[env],
-                seed=repetition,
+                episodes=case.episodes,
+                seed=seeds * repetition + seed,
                 error=error,
-                rate=RATE,
-                delta=DELTA,
+                rate=case.rate,
+                delta=case.delta,
+                active_gain=case.active_gain,
                 **options,
             )
             for error in ERRORS
+            for seed in range(seeds)
         ]
-        assert all(len(result.returns) == EPISODES[env] for result in results)
+        assert all(len(result.returns) == case.episodes for result in results)
         assert all(math.isfinite(value) for result in results for value in result.returns)
         return Measurement(
             env_steps=sum(result.env_steps for result in results),
@@ -75,32 +77,37 @@ def peer(name: str, algo: str, env: str) -> Contender:
     return measure
 
 
-def gpcjax(algo: str, env: str, lanes: int) -> Contender:
-    """The pool of `gpcjax sweep`: `lanes` seeds for each error rate, every one through all its episodes."""
+def gpcjax(case: Case) -> Contender:
+    """The pool of `gpcjax sweep`: some seeds for each error rate, every one through all its episodes."""
     import numpy as np
 
     from gpcjax.engine.pool import Finished, Start
     from gpcjax.learners.base import Status
-    from gpcjax.sweep.build import make_pool, start_of
-    from gpcjax.sweep.plan import Cell, plan
+    from gpcjax.sweep.build import start_of
+    from gpcjax.sweep.plan import plan
     from gpcjax.sweep.spec import spec_of
 
-    spec = spec_of(
-        env=env,
-        algo=algo,
-        oracle=EXPERT[env],
-        error=ERRORS,
-        seeds=lanes,
-        episodes=EPISODES[env],
-        rate=RATE,
-        delta=DELTA,
-    )
-    cells: list[Cell] = plan(spec)
-    pool = make_pool(cells[0])
+    def cells(lanes: int, rate: float) -> list[Any]:
+        """Errors take turns, so that few lanes have some of each."""
+        teaching = {
+            "rate": rate,
+            "delta": case.delta,
+            "error": ERRORS,
+            "seeds": math.ceil(lanes / len(ERRORS)),
+        }
+        learning: dict[str, Any] = {"active_gain": case.active_gain} if case.active_gain else {}
+        if case.capacity:
+            learning |= {"max_capacity": case.capacity, "on_full": "drop"}
+        names = {"env": case.env, "algo": case.algo, "oracle": EXPERT[case.env], "episodes": case.episodes}
+        planned = plan(spec_of(**names, **teaching, **learning))
+        return sorted(planned, key=lambda cell: (cell.seed, cell.error))[:lanes]
 
-    def measure(_: int) -> Measurement:
+    pool = _pool(cells(1, case.rate)[0], case.capacity)
+
+    def measure(repetition: int = 0, lanes: int | None = None, rate: float | None = None) -> Measurement:
+        chosen = cells(lanes or case.lanes * len(ERRORS), case.rate if rate is None else rate)
         began, compiled, steps = time.perf_counter(), pool.counters.compile_seconds, pool.counters.env_steps
-        starts, finished = iter(cells), list[Finished]()
+        starts, finished = iter(chosen), list[Finished]()
 
         def next_start() -> Start | None:
             cell = next(starts, None)
@@ -110,15 +117,15 @@ def gpcjax(algo: str, env: str, lanes: int) -> Contender:
         compile_seconds = pool.counters.compile_seconds - compiled
         seconds = time.perf_counter() - began - compile_seconds
         rows = [run.lane.rows for run in finished]
-        assert len(finished) == len(cells)
-        assert all(run.lane.status == Status.OK and run.lane.episode == spec.episodes for run in finished)
+        assert len(finished) == len(chosen)
+        assert all(run.lane.status == Status.OK and run.lane.episode == case.episodes for run in finished)
         assert all(np.isfinite(row.returns).all() and (row.length > 0).all() for row in rows)
         taken = pool.counters.env_steps - steps
         assert taken == sum(int(row.length.sum()) for row in rows)
         return Measurement(
             env_steps=taken,
             seconds=seconds,
-            lanes=len(cells),
+            lanes=len(chosen),
             corrections=sum(int(row.corrections.sum()) for row in rows),
             policy_points=_spread([int(row.policy_points[-1]) for row in rows]),
             human_points=_spread([int(row.human_points[-1]) for row in rows]),
@@ -128,11 +135,30 @@ def gpcjax(algo: str, env: str, lanes: int) -> Contender:
     return measure
 
 
-def naive(algo: str, env: str, steps: int) -> Contender:
+def _pool(cell: Any, capacity: int | None) -> Any:
+    """The pool of a sweep; or one block of a fixed capacity."""
+    from gpcjax.engine.pool import Pool, Tier
+    from gpcjax.envs.registry import make_env, make_expert
+    from gpcjax.sweep.build import make_pool, start_of
+
+    if capacity is None:
+        return make_pool(cell)
+    return Pool(
+        env=make_env(cell.env),
+        expert=make_expert(cell.env, cell.oracle),
+        episodes=cell.episodes,
+        template=start_of(cell),
+        tiers=(Tier(capacity, capacity, lanes=32 if capacity <= 128 else 8),),
+    )
+
+
+def naive(case: Case) -> Contender:
     """The obvious way in jax: `vmap` over a step with a `cond`, at one capacity of 256."""
     from benchmarks.peers import naive_vmap
 
-    run = naive_vmap.make(algo, env, ERRORS, steps, rate=RATE, delta=DELTA, expert=EXPERT[env])
+    run = naive_vmap.make(
+        case.algo, case.env, ERRORS, NAIVE_STEPS, rate=case.rate, delta=case.delta, expert=EXPERT[case.env]
+    )
 
     def measure(repetition: int) -> Measurement:
         began = time.perf_counter()
@@ -160,17 +186,15 @@ def _spread(values: list[int]) -> tuple[float, float]:
 
 def main() -> None:
     """Serves one contender."""
-    name, algo, env, size = sys.argv[1:]
-    if name == "gpcjax":
-        measure = gpcjax(algo, env, int(size))
-    elif name == "naive":
-        measure = naive(algo, env, int(size))
-    else:
-        measure = peer(name, algo, env)
-    warm = measure(0) if name in ("gpcjax", "naive") else None
+    name, case = sys.argv[1], Case(**json.loads(sys.argv[2]))
+    measure = (
+        {"gpcjax": gpcjax, "naive": naive}[name](case) if name in ("gpcjax", "naive") else peer(name, case)
+    )
+    warm = measure(repetition=0) if name in ("gpcjax", "naive") else None
     print(json.dumps({"warm": asdict(warm) if warm else None}), flush=True)
     for line in sys.stdin:
-        print(json.dumps({**asdict(measure(int(line))), "peak_mib": peak_mebibytes()}), flush=True)
+        measured = measure(**json.loads(line))
+        print(json.dumps({**asdict(measured), "peak_mib": peak_mebibytes()}), flush=True)
 
 
 if __name__ == "__main__":

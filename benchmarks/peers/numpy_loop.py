@@ -83,6 +83,7 @@ class NumpyGPC:
         self.inverse = np.zeros((capacity, capacity))
         self.human_inputs, self.human_factor = np.zeros((capacity, size + 1)), np.zeros((capacity, capacity))
         self.policy_points = self.human_points = 0
+        self.largest_sigma = math.sqrt(v.human_variance + v.noise)
         self.act = Mean(v.nu, size)
 
     def correct(self, obs: Floats, action: float, h: int) -> tuple[float, float, float, bool]:
@@ -121,15 +122,24 @@ class NumpyGPC:
         self.act.load(self.inputs[:n], self.scale, v.policy_variance * (inverse @ self.targets[:n]))
         return rate, sigma_p, sigma_h, replace
 
+    def sigma_human(self, obs: Floats, action: float) -> float:
+        """How uncertain H is."""
+        return self._whiten_human(np.array((*obs, action)) * self.human_scale)[1]
+
+    def _whiten_human(self, z: Array) -> tuple[Array, float]:
+        """L^-1 k and sigma_h at the scaled z."""
+        v, m = self.values, self.human_points
+        k = v.human_variance * np.exp(-0.5 * distances(self.human_inputs[:m], z) ** 2)
+        row = self.human_factor[:m, :m] @ k
+        return row, math.sqrt(max(v.human_variance + v.noise - float(row @ row), v.noise))
+
     def _extend_human(self, z: Array) -> float:
         """sigma_h at the scaled z, which H then appends. H keeps no targets: only its variance is asked."""
-        v, m = self.values, self.human_points
+        m = self.human_points
         if m == len(self.human_inputs):
             self.human_inputs = _longer(self.human_inputs)
             self.human_factor = _longer(self.human_factor, square=True)
-        k = v.human_variance * np.exp(-0.5 * distances(self.human_inputs[:m], z) ** 2)
-        row = self.human_factor[:m, :m] @ k
-        sigma = math.sqrt(max(v.human_variance + v.noise - float(row @ row), v.noise))
+        row, sigma = self._whiten_human(z)
         self.human_inputs[m] = z
         self.human_factor[m, :m] = (row @ self.human_factor[:m, :m]) / -sigma
         self.human_factor[m, m] = 1 / sigma
@@ -282,10 +292,19 @@ def run(
     rate: float,
     delta: float,
     *,
+    active_gain: float = 0.0,
     episodes: int | None = None,
 ) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns", "coach") on `env` ("cartpole", "pendulum"); see tasks.teach."""
     learner: Learner = LEARNERS[algo](env)
     return teach(
-        learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta, episodes=episodes
+        learner,
+        TASKS[env](),
+        steps=steps,
+        seed=seed,
+        error=error,
+        rate=rate,
+        delta=delta,
+        active_gain=active_gain,
+        episodes=episodes,
     )

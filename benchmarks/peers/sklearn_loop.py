@@ -64,6 +64,7 @@ class SklearnGPC:
         self.policy = Model(policy, v.noise, widths, normalise)
         self.human = Model(human, v.noise, np.append(widths, 1.0), normalise)
         self.constant_rate, self.threshold = v.constant_rate, 0.5 * math.sqrt(v.policy_variance)
+        self.largest_sigma = math.sqrt(v.human_variance + v.noise)
         self.sigma_policy = 0.0
 
     @property
@@ -83,6 +84,10 @@ class SklearnGPC:
         if self.human_every_step:
             self.human.predict(np.array((*obs, action)))
         return action
+
+    def sigma_human(self, obs: Floats, action: float) -> float:
+        """Predicted anew, whether or not `act` has asked: the regressor keeps nothing."""
+        return self.human.predict(np.array((*obs, action)))[1]
 
     def correct(self, obs: Floats, action: float, h: int) -> tuple[float, float, float, bool]:
         """Alg. 2, lines 6 to 14, for the step just acted on; (rate, sigma_p, sigma_h, replaced)."""
@@ -104,11 +109,20 @@ def run(
     rate: float,
     delta: float,
     *,
+    active_gain: float = 0.0,
     episodes: int | None = None,
     human_every_step: bool = False,
 ) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns") on `env` ("cartpole", "pendulum"); see tasks.teach."""
     learner = SklearnGPC(algo, env, human_every_step)
     return teach(
-        learner, TASKS[env](), steps=steps, seed=seed, error=error, rate=rate, delta=delta, episodes=episodes
+        learner,
+        TASKS[env](),
+        steps=steps,
+        seed=seed,
+        error=error,
+        rate=rate,
+        delta=delta,
+        active_gain=active_gain,
+        episodes=episodes,
     )

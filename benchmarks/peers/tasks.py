@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -176,6 +176,18 @@ class Learner(Protocol):
         ...
 
 
+@runtime_checkable
+class Uncertain(Protocol):
+    """What active learning asks of a learner, beside."""
+
+    largest_sigma: float
+    """A bound of `sigma_human`."""
+
+    def sigma_human(self, obs: Floats, action: float) -> float:
+        """How uncertain the human model is."""
+        ...
+
+
 @dataclass(frozen=True)
 class PeerResult:
     """What a run did; `returns` holds the episodes that ended within the budget of steps."""
@@ -208,14 +220,19 @@ def teach(
     error: float,
     rate: float,
     delta: float,
+    active_gain: float = 0.0,
     episodes: int | None = None,
 ) -> PeerResult:
     """Teaches by the oracle (Alg. 4) for `steps` environment steps, or for so many episodes; all of it is timed.
 
-    One uniform number u a step decides: u < rate is the chance to advise, u < rate * error the flipped sign.
+    One uniform number u a step decides: u < chance is advice, u < chance * error the flipped sign. With an
+    `active_gain` the chance grows with the human model's uncertainty, which is asked only where u leaves it open.
     """
     starts, coins = (np.random.default_rng([seed, stream]) for stream in range(2))
-    coin, flip = uniforms(coins), rate * error
+    coin, chance, largest = uniforms(coins), rate, rate
+    uncertain = learner if active_gain and isinstance(learner, Uncertain) else None
+    if uncertain is not None:
+        largest = min(1.0, rate + active_gain * uncertain.largest_sigma)
     returns: list[float] = []
     taken = corrections = 0
     begin = time.perf_counter()
@@ -229,10 +246,12 @@ def teach(
             total += reward
             length += 1
             u = next(coin)
-            if u < rate:
+            if u < largest:
+                if uncertain is not None:
+                    chance = min(1.0, rate + active_gain * uncertain.sigma_human(obs, action))
                 gap = task.expert(obs) - action
-                if abs(gap) > delta:
-                    learner.correct(obs, action, 1 if (gap > 0) == (u >= flip) else -1)
+                if u < chance and abs(gap) > delta:
+                    learner.correct(obs, action, 1 if (gap > 0) == (u >= chance * error) else -1)
                     corrections += 1
         if terminated or length == task.max_steps:
             returns.append(total)
