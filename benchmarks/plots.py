@@ -46,7 +46,8 @@ def _panel(axis: Axes, name: str, label: str, curve: dict[str, list[dict[str, An
     else:
         axis.set_xscale("log", base=10 if name == "rate" else 2)
         axis.set_yscale("log")
-        axis.set_xticks(points, [f"{point:g}" for point in points])
+        labelled = points[:: 2 if len(points) > 8 else 1]
+        axis.set_xticks(labelled, [f"{point:g}" for point in labelled])
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.yaxis.set_minor_formatter(NullFormatter())
     axis.yaxis.set_major_formatter(FuncFormatter(_short))

@@ -5,7 +5,8 @@ Then the repetitions interleave, so that what else the machine does strikes all 
 medians of ratios taken within a repetition. Everything is counted: acting, the task, the teacher, learning, and for
 gpcjax the host's work between chunks. Compile time stands apart.
 
-Written are the tables, `throughput.json` with all measurements, the machine and the versions, and `throughput.png`.
+Written are the tables, `throughput.json` with all measurements, machine and versions, and `throughput.png`; then
+`benchmarks.profile` tells where the time goes.
 """
 
 import argparse
@@ -26,6 +27,7 @@ from rich.table import Table
 
 from benchmarks.cases import Case, cases
 from gpcjax.sweep.environment import computing_environment
+from gpcjax.sweep.executors import run_alone
 
 LABELS = {
     "sklearn": "scikit-learn, as the public code",
@@ -249,6 +251,8 @@ def main() -> None:
         draw(record, arguments.out / "throughput.png")
     (arguments.out / "throughput.json").write_text(json.dumps(record, indent=1) + "\n")
     console.print(f"{arguments.out}/throughput.json")
+    if not arguments.quick:
+        run_alone("benchmarks.profile")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,90 @@
+"""What the batched loop must not do, in counts rather than seconds: trace again, correct in vain, or copy its blocks."""
+
+import dataclasses
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from gpcjax.engine.pool import Finished, Pool, Start, Tier
+from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.learners.factory import make_learner
+from gpcjax.learners.gpc import GPC
+from gpcjax.sweep.build import make_oracle
+
+TIERS = Tier(16, 16, 8), Tier(48, 64, 8)
+TRACED: list[str] = []
+EXECUTED: list[int] = []
+
+
+class Counting(GPC):
+    """GPC that tells when a correction is traced, and when one is computed."""
+
+    def _correct(self, state, obs, action, advice):
+        TRACED.append("correct")
+        jax.debug.callback(lambda: EXECUTED.append(1))
+        return super()._correct(state, obs, action, advice)
+
+
+def pool_of(learner, starts, episodes=2):
+    """A pool on cart-pole, and as many starts of `learner`, with seeds from 0."""
+    oracle = jax.tree.map(np.asarray, make_oracle("cartpole", "lqr").oracle)
+    numbers = jax.tree.map(np.asarray, learner)
+    begun = [Start(name=seed, learner=numbers, teacher=oracle, seed=seed) for seed in range(starts)]
+    env, expert = make_env("cartpole"), make_expert("cartpole", "lqr")
+    return Pool(env=env, expert=expert, episodes=episodes, template=begun[0], tiers=TIERS), begun
+
+
+def finish(pool, starts):
+    waiting, finished = iter(starts), list[Finished]()
+    pool.run(lambda: next(waiting, None), finished.append)
+    return [each.lane for each in finished]
+
+
+def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else():
+    """Not for each lane, round or step; and nothing is traced once more for more runs."""
+    gpc = make_learner("gpc", "cartpole", capacity=16)
+    learner = Counting(**{field.name: getattr(gpc, field.name) for field in dataclasses.fields(gpc)})
+    pool, starts = pool_of(learner, 24)
+    TRACED.clear(), EXECUTED.clear()
+    lanes = finish(pool, starts)
+    jax.effects_barrier()
+    corrections = sum(int(lane.rows.corrections.sum()) for lane in lanes)
+    assert len(EXECUTED) == corrections > 100
+    assert sum(int(lane.rows.length.sum()) for lane in lanes) > 3 * corrections
+    traced = len(TRACED)
+    assert 0 < traced <= 4 * len(TIERS)
+    finish(pool, starts[::-1])
+    assert len(TRACED) == traced
+
+
+@pytest.fixture(scope="module", params=["gpc", "gpc-ns"])
+def used(request):
+    """A pool that has run through its tiers."""
+    pool, starts = pool_of(make_learner(request.param, "cartpole", capacity=16), 24, episodes=4)
+    lanes = finish(pool, starts)
+    assert {lane.state.human.points.shape[1] for lane in lanes} == {16, 64}
+    return pool
+
+
+def test_no_block_is_copied(used):
+    """The matrices of all lanes are updated in place: a copy at each correction would cost more than all else."""
+    for block in used._blocks:
+        text = block._programs["advance"].as_text()
+        lanes, tier = block.tier.lanes, block.tier
+        for capacity in (tier.policy_capacity, tier.human_capacity):
+            shape = re.escape(f"f64[{lanes},1,{capacity},{capacity}]")
+            assert re.search(shape, text)
+            assert not re.search(rf"= {shape}\S* copy\(", text)
+
+
+def test_bytes_of_a_lane(used):
+    """A lane is little more than its two factors."""
+    for block in used._blocks:
+        tier = block.tier
+        held = sum(leaf.nbytes for leaf in jax.tree.leaves(block._lanes)) / tier.lanes
+        factors = 8 * (tier.policy_capacity**2 + tier.human_capacity**2)
+        vectors = 8 * (tier.policy_capacity * 12 + tier.human_capacity * 8)
+        log = 200 * (3 * 4 + 3 * 8 + 3)
+        assert held < factors + vectors + log + 1500
