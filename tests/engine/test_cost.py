@@ -1,4 +1,4 @@
-"""What the batched loop must not do, in counts rather than seconds: trace again, correct in vain, or copy its blocks."""
+"""What the batched loop must not do, in counts and not in seconds: trace again, correct in vain, or copy blocks."""
 
 import dataclasses
 import re

@@ -1,0 +1,54 @@
+"""The polynomials against numpy's functions, at extended precision."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gpcjax.elementary import decay, sin_cos
+
+
+def test_decay_is_as_accurate_as_a_library():
+    x = np.concatenate(
+        [[0.0, 1e-300, 1e-17, 707.99], np.linspace(0, 40, 40_001), np.geomspace(1e-12, 707, 40_001)]
+    )
+    exact = np.exp(-x.astype(np.longdouble))
+    assert np.abs(np.asarray(jax.jit(decay)(x)) / exact - 1).max() < 1e-15
+
+
+def test_decay_at_its_ends():
+    """One at zero; zero from where a number would no longer be normal; NaN stays."""
+    np.testing.assert_array_equal(decay(jnp.array([0.0, 709.0, 1e300, jnp.inf])), [1.0, 0.0, 0.0, 0.0])
+    assert jnp.isnan(decay(jnp.asarray(jnp.nan)))
+
+
+@pytest.mark.parametrize("reach", [0.3, 10.0, 1e6])
+def test_sine_and_cosine_are_as_accurate_as_a_library(reach):
+    x = np.random.default_rng(0).uniform(-reach, reach, 100_000)
+    sin, cos = jax.jit(sin_cos)(x)
+    exact = x.astype(np.longdouble)
+    assert np.abs(np.asarray(sin) - np.sin(exact)).max() < 1e-15
+    assert np.abs(np.asarray(cos) - np.cos(exact)).max() < 1e-15
+
+
+def test_sine_and_cosine_at_multiples_of_a_quarter_turn():
+    """Every quadrant, and signs."""
+    x = np.arange(-9, 10) * np.pi / 2
+    sin, cos = sin_cos(jnp.asarray(x))
+    np.testing.assert_allclose(sin, np.sin(x), atol=1e-15)
+    np.testing.assert_allclose(cos, np.cos(x), atol=1e-15)
+    assert all(jnp.isnan(value) for value in sin_cos(jnp.asarray(jnp.nan)))
+
+
+def test_derivatives():
+    """Written by hand, as rounding and bits have none."""
+    x = jnp.asarray(0.7)
+    assert jax.grad(decay)(x) == pytest.approx(-np.exp(-x), rel=1e-15)
+    assert jax.grad(lambda x: sin_cos(x)[0])(x) == pytest.approx(np.cos(x), rel=1e-15)
+    assert jax.grad(lambda x: sin_cos(x)[1])(x) == pytest.approx(-np.sin(x), rel=1e-15)
+    assert jax.grad(jax.grad(decay))(x) == pytest.approx(np.exp(-x), rel=1e-15)
+
+
+def test_in_a_batch_and_compiled():
+    x = jnp.linspace(0.0, 5.0, 33)
+    np.testing.assert_allclose(jax.jit(jax.vmap(decay))(x), decay(x), rtol=1e-15)
