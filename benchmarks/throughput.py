@@ -95,7 +95,7 @@ def compare(case: Case, repetitions: int) -> dict[str, Measurements]:
     try:
         if case.algo != "coach":
             groups["sklearn"] = [begin("sklearn", case, cores[0])]
-            if usual_cartpole:
+            if usual_cartpole and case.algo == "gpc":
                 groups["sklearn-policy"] = [begin("sklearn-policy", case, cores[0])]
         every_numpy = [begin("numpy", case, core) for core in cores]
         groups["numpy"], groups["numpy-all"] = every_numpy[:1], every_numpy
@@ -229,27 +229,33 @@ def main() -> None:
         ]
         repetitions = 2
     compared: list[tuple[Case, dict[str, Measurements]]] = []
-    for case in chosen:
-        console.print(f"{case.env}, {case.algo}, {case.name} ...")
-        compared.append((case, compare(case, repetitions)))
-    console.print(table(compared))
-    for case, found in compared:
-        cores = ratio(found["gpcjax-all"], found["gpcjax"])
-        console.print(f"{case.env}, {case.algo}, {case.name}: all cores against one {cores:.2f}")
     record: dict[str, Any] = {
         "repetitions": repetitions,
         "machine": {"platform": platform.platform(), "cores": len(os.sched_getaffinity(0))},
         "versions": {name: version(name) for name in ("jax", "jaxlib", "numpy", "scikit-learn")},
-        "compared": [{"case": asdict(case), "found": found} for case, found in compared],
+        "compared": [],
     }
     arguments.out.mkdir(parents=True, exist_ok=True)
+
+    def write() -> None:
+        (arguments.out / "throughput.json").write_text(json.dumps(record, indent=1) + "\n")
+
+    for case in chosen:
+        console.print(f"{case.env}, {case.algo}, {case.name} ...")
+        compared.append((case, compare(case, repetitions)))
+        record["compared"].append({"case": asdict(case), "found": compared[-1][1]})
+        write()
+    console.print(table(compared))
+    for case, found in compared:
+        cores = ratio(found["gpcjax-all"], found["gpcjax"])
+        console.print(f"{case.env}, {case.algo}, {case.name}: all cores against one {cores:.2f}")
     if not arguments.quick:
         from benchmarks.plots import draw
 
         console.print("gpcjax alone: lanes, advice rate, cores, capacity ...")
-        record["curves"] = curves(Case("gpc", "cartpole", episodes=10), repetitions)
+        record["curves"] = curves(Case("gpc", "cartpole", episodes=7), repetitions)
+        write()
         draw(record, arguments.out / "throughput.png")
-    (arguments.out / "throughput.json").write_text(json.dumps(record, indent=1) + "\n")
     console.print(f"{arguments.out}/throughput.json")
     if not arguments.quick:
         run_alone("benchmarks.profile")
