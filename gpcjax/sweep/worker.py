@@ -42,6 +42,7 @@ class Worker:
         self._connection = connection
         self._done = Totals()
         self._reported = 0.0
+        self._compiled = 0
 
     def run(self) -> None:
         """Serves until the parent says stop."""
@@ -67,11 +68,15 @@ class Worker:
         def deliver(finished: Finished) -> None:
             self._connection.send(("rows", rows_of(finished.name, finished.lane)))
 
-        pool.run(next_start, deliver, lambda: self._report(pool))
+        self._compiled = 0
+        pool.run(next_start, deliver, lambda: self._look(pool))
         self._done = self._progress(pool)
         self._connection.send(("progress", self._done))
 
-    def _report(self, pool: Pool) -> None:
+    def _look(self, pool: Pool) -> None:
+        if pool.counters.compilations > self._compiled:
+            self._compiled = pool.counters.compilations
+            give_back_memory()
         if time.monotonic() - self._reported > REPORT_SECONDS:
             self._reported = time.monotonic()
             self._connection.send(("progress", self._progress(pool)))
@@ -91,7 +96,7 @@ class Worker:
 
 
 def give_back_memory() -> None:
-    """Returns what a pool and its compilations have left: hundreds of MiB, which the allocator would keep."""
+    """Returns what compilations and pools have left: hundreds of MiB, which the allocator would keep."""
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
     if trim is not None:
