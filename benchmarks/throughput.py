@@ -40,7 +40,7 @@ LABELS = {
 }
 LANES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048)
 CAPACITIES = (32, 64, 128, 256, 512, 1024)
-RATES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+RATES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 
 Measurements = list[dict[str, Any]]
 
@@ -140,13 +140,13 @@ def curves(case: Case, repetitions: int) -> dict[str, dict[str, Measurements]]:
     try:
         for curve, points in (("lanes", LANES), ("rate", RATES)):
             for point in points:  # larger blocks may be compiled at their first use: once unmeasured
-                processes[0].ask(**{curve: point})
+                processes[0].ask(**{curve: point}, **({} if curve == "lanes" else {"lanes": 128}))
                 processes[0].answer()
         for _ in range(repetitions):
             for lanes in LANES:
                 note("lanes", lanes, processes[:1], lanes=lanes)
             for rate in RATES:
-                note("rate", rate, processes[:1], rate=rate)
+                note("rate", rate, processes[:1], rate=rate, lanes=128)
             for count in range(1, len(cores) + 1):
                 note("cores", count, processes[:count])
     finally:
@@ -219,6 +219,7 @@ def main() -> None:
     parser.add_argument("--algo", default="gpc,gpc-ns,coach", help="comma list (default: %(default)s)")
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="usual teaching on cart-pole, twice, few lanes")
+    parser.add_argument("--curves-only", action="store_true", help="no peers: the figure and the profile")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     arguments = parser.parse_args()
     chosen = cases(tuple(arguments.algo.split(",")), tuple(arguments.env.split(",")))
@@ -237,15 +238,18 @@ def main() -> None:
     }
     arguments.out.mkdir(parents=True, exist_ok=True)
 
-    def write() -> None:
-        (arguments.out / "throughput.json").write_text(json.dumps(record, indent=1) + "\n")
+    name = "curves.json" if arguments.curves_only else "throughput.json"
 
-    for case in chosen:
+    def write() -> None:
+        (arguments.out / name).write_text(json.dumps(record, indent=1) + "\n")
+
+    for case in [] if arguments.curves_only else chosen:
         console.print(f"{case.env}, {case.algo}, {case.name} ...")
         compared.append((case, compare(case, repetitions)))
         record["compared"].append({"case": asdict(case), "found": compared[-1][1]})
         write()
-    console.print(table(compared))
+    if compared:
+        console.print(table(compared))
     for case, found in compared:
         cores = ratio(found["gpcjax-all"], found["gpcjax"])
         console.print(f"{case.env}, {case.algo}, {case.name}: all cores against one {cores:.2f}")
@@ -253,10 +257,10 @@ def main() -> None:
         from benchmarks.plots import draw
 
         console.print("gpcjax alone: lanes, advice rate, cores, capacity ...")
-        record["curves"] = curves(Case("gpc", "cartpole", episodes=7), repetitions)
+        record["curves"] = curves(Case("gpc", "cartpole", episodes=4), repetitions)
         write()
         draw(record, arguments.out / "throughput.png")
-    console.print(f"{arguments.out}/throughput.json")
+    console.print(f"{arguments.out}/{name}")
     if not arguments.quick:
         run_alone("benchmarks.profile")
 
