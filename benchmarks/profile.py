@@ -83,7 +83,7 @@ def seconds(part: Callable[[Any], Any], carry: Any) -> float:
 
 def parts(loop: Loop, block: Lane) -> dict[str, float]:
     """Seconds of the parts of a round, for all lanes of the block."""
-    replace, lanes = dataclasses.replace, block.phase.shape[0]
+    replace = dataclasses.replace
 
     def act(obs: Any) -> Any:
         return obs + 1e-9 * block.controller(obs)
@@ -112,7 +112,7 @@ def parts(loop: Loop, block: Lane) -> dict[str, float]:
         "drawing 32 coins": seconds(coins, block),
         "asking the teacher": seconds(ask, block),
         "a round, corrections and all": seconds(loop.round, block),
-    } | {"lanes": float(lanes)}
+    }
 
 
 def correction(loop: Loop, block: Lane) -> float:
@@ -173,8 +173,7 @@ def main() -> None:
     drawn.add_column("part")
     drawn.add_column("us", justify="right")
     for name, value in measured.items():
-        if name != "lanes":
-            drawn.add_row(name, f"{1e6 * value:.2f}")
+        drawn.add_row(name, f"{1e6 * value:.2f}")
     console.print(drawn)
     rate = points / measured["policies, one step"]
     console.print(f"policies: {rate / 1e6:.0f} M points/s, {rate * 40 / 1e9:.0f} GB/s from the caches")

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from functools import reduce
+from typing import Unpack
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.spatial.distance import cdist
 
-from benchmarks.peers.tasks import GP_VALUES, OBS_SIZE, TASKS, Floats, Learner, PeerResult, teach
+from benchmarks.peers.tasks import GP_VALUES, OBS_SIZE, TASKS, Floats, Learner, PeerResult, Teaching, teach
 
 Array = np.ndarray
 
@@ -283,28 +284,7 @@ LEARNERS: dict[str, type[NumpyGPC] | type[NumpyGPCNS] | type[NumpyCOACH]] = {
 }
 
 
-def run(
-    algo: str,
-    env: str,
-    steps: int,
-    seed: int,
-    error: float,
-    rate: float,
-    delta: float,
-    *,
-    active_gain: float = 0.0,
-    episodes: int | None = None,
-) -> PeerResult:
+def run(algo: str, env: str, **teaching: Unpack[Teaching]) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns", "coach") on `env` ("cartpole", "pendulum"); see tasks.teach."""
     learner: Learner = LEARNERS[algo](env)
-    return teach(
-        learner,
-        TASKS[env](),
-        steps=steps,
-        seed=seed,
-        error=error,
-        rate=rate,
-        delta=delta,
-        active_gain=active_gain,
-        episodes=episodes,
-    )
+    return teach(learner, TASKS[env](), **teaching)

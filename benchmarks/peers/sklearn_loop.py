@@ -7,13 +7,13 @@ The human model is asked at corrections only, unless `human_every_step` (the pub
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Kernel, Matern, WhiteKernel
 
-from benchmarks.peers.tasks import GP_VALUES, OBS_SIZE, TASKS, Floats, PeerResult, teach
+from benchmarks.peers.tasks import GP_VALUES, OBS_SIZE, TASKS, Floats, PeerResult, Teaching, teach
 
 
 class Model:
@@ -100,29 +100,6 @@ class SklearnGPC:
         return rate, sigma_p, sigma_h, replace
 
 
-def run(
-    algo: str,
-    env: str,
-    steps: int,
-    seed: int,
-    error: float,
-    rate: float,
-    delta: float,
-    *,
-    active_gain: float = 0.0,
-    episodes: int | None = None,
-    human_every_step: bool = False,
-) -> PeerResult:
+def run(algo: str, env: str, *, human_every_step: bool = False, **teaching: Unpack[Teaching]) -> PeerResult:
     """Teaches `algo` ("gpc", "gpc-ns") on `env` ("cartpole", "pendulum"); see tasks.teach."""
-    learner = SklearnGPC(algo, env, human_every_step)
-    return teach(
-        learner,
-        TASKS[env](),
-        steps=steps,
-        seed=seed,
-        error=error,
-        rate=rate,
-        delta=delta,
-        active_gain=active_gain,
-        episodes=episodes,
-    )
+    return teach(SklearnGPC(algo, env, human_every_step), TASKS[env](), **teaching)

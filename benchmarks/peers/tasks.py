@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -203,6 +203,18 @@ class PeerResult:
     def steps_per_second(self) -> float:
         """Environment steps per second, everything counted."""
         return self.env_steps / self.seconds
+
+
+class Teaching(TypedDict):
+    """The keywords of `teach`."""
+
+    steps: int
+    seed: int
+    error: float
+    rate: float
+    delta: float
+    active_gain: NotRequired[float]
+    episodes: NotRequired[int | None]
 
 
 def uniforms(rng: np.random.Generator) -> Iterator[float]:

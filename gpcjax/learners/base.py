@@ -5,6 +5,7 @@ import enum
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -172,6 +173,11 @@ class Learner(ByIdentity):
         if array.shape != (size,):
             raise ValueError(f"{name} has shape {array.shape}, this learner takes ({size},)")
         return array
+
+
+def write_whole(states: State, where: tuple[Int[Array, ""], ...], change: State) -> State:
+    """`Learner._write` of a change that is a whole state."""
+    return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
 
 
 @eqx.filter_jit

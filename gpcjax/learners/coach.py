@@ -10,11 +10,10 @@
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.learners.base import Info, Learner, Status, write_whole
 from gpcjax.policies.grid import Grid, GridController
 
 
@@ -74,7 +73,7 @@ class COACH(Learner):
         return jnp.full(self.action_size, jnp.nan)
 
     def _write(self, states, where, change):
-        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
+        return write_whole(states, where, change)
 
     def _correct(self, state, obs, action, advice):
         features = self.grid.features(obs)[None]

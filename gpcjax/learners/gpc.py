@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp.regression import Appended, GaussianProcess, Posterior, write_appended
-from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.learners.base import Info, Learner, Status, write_whole
 from gpcjax.policies.kernel import KernelController
 
 
@@ -127,13 +127,12 @@ class GPC(Learner):
         return change, dataclasses.replace(info, status=info.status.max())
 
     def _write(self, states, where, change):
-        whole = lambda old, new: jax.tree.map(lambda leaf, value: leaf.at[where].set(value), old, new)  # noqa: E731
         if not isinstance(change.human, Appended):
-            return whole(states, GPCState(policy=change.policy, human=change.human))
+            return write_whole(states, where, GPCState(policy=change.policy, human=change.human))
         human = states.human
         for i in range(self.action_size):
             human = write_appended(human, jax.tree.map(lambda leaf, i=i: leaf[i], change.human), (*where, i))
-        return GPCState(policy=whole(states.policy, change.policy), human=human)
+        return GPCState(policy=write_whole(states.policy, where, change.policy), human=human)
 
     def _correct_one(
         self,
