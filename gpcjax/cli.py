@@ -65,8 +65,12 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    given = read_toml(Path(arguments.toml)) if arguments.toml is not None else {}
+    if arguments.quick and arguments.toml is None:
+        raise UserError("--quick takes the table [quick] of a TOML file: give the file")
+    given = read_toml(Path(arguments.toml), arguments.quick) if arguments.toml is not None else {}
     given |= cli_options.settings(arguments)
+    if "rate_from" in given:
+        given = _with_schedule(given, arguments.dry_run)
     if arguments.command == "grid":
         given = {"algo": Given(("gpc",), "algo")} | given
     spec = make_spec(given)
@@ -81,6 +85,20 @@ def _sweep(arguments: argparse.Namespace) -> int:
         return 0
     make_writable(out)
     return _teach(spec, out, jobs)
+
+
+def _with_schedule(given: dict[str, Given], dry_run: bool) -> dict[str, Given]:
+    """The settings with the schedule that `rate_from` names; for a check it is enough that the folder is there."""
+    setting = given.pop("rate_from")
+    folder = Path(os.path.expanduser(setting.value))
+    if "rate_schedule" in given:
+        raise UserError(f"{setting.where}: beside rate_schedule it changes nothing, give one of the two")
+    check_report(folder)
+    if dry_run:
+        return given
+    from gpcjax.sweep.schedule import offered_rates
+
+    return given | {"rate_schedule": Given(offered_rates(folder), setting.where)}
 
 
 def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:

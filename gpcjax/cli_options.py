@@ -93,6 +93,7 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given]:
 def _add_sweep(command: Parser) -> None:
     command.add_argument("toml", nargs="?", metavar="TOML", help="a file with these names as keys; flags win")
     command.add_argument("--dry-run", action="store_true", help="check all, say how many cells, run nothing")
+    command.add_argument("--quick", action="store_true", help="with the settings of the file's table [quick]")
     for title, options in _GROUPS:
         group = command.add_argument_group(title)
         for option in options:
@@ -121,7 +122,7 @@ def _metavar(option: Option) -> str:
 
 def _flags(command: str) -> list[str]:
     if command in ("sweep", "grid"):
-        return [*(option.flag for option in OPTIONS.values()), "--no-sparsify", "--dry-run", "--help"]
+        return [*(option.flag for option in OPTIONS.values()), "--no-sparsify", "--quick", "--dry-run", "--help"]
     return ["--env", "--help"] if command == "oracles" else ["--help"]
 
 

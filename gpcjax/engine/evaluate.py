@@ -5,11 +5,13 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from gpcjax.engine import streams
 from gpcjax.envs.base import Env, State
+from gpcjax.envs.host import HostEnv
 
 Function = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
 
@@ -21,15 +23,17 @@ class Returns(eqx.Module):
     length: Int[Array, " starts"]
 
 
-def evaluate(env: Env, policy: Function, starts: int = 100) -> Returns:
+def evaluate(env: Env | HostEnv, policy: Function, starts: int = 100) -> Returns:
     """One episode of `policy` (obs -> action) from each of `starts` starts, none of it learned from.
 
     The starts are those of the first episode of seeds 0 to starts - 1.
     """
+    if isinstance(env, HostEnv):
+        return _evaluate_on_host(env, policy, starts)
     return _evaluate(env, policy, jnp.arange(starts))
 
 
-def idle(env: Env) -> Function:
+def idle(env: Env | HostEnv) -> Function:
     """The policy that does nothing: a = 0, what every learner starts with."""
     return lambda obs: jnp.zeros(env.action_size)
 
@@ -50,3 +54,22 @@ def _evaluate(env: Env, policy: Function, seeds: Int[Array, " starts"]) -> Retur
     state = jax.vmap(lambda seed: env.reset(streams.start_key(seed, 0)), out_axes=-1)(seeds)
     state, returns = lax.while_loop(more, body, (state, jnp.zeros(seeds.shape)))
     return Returns(returns=returns, length=state.time)
+
+
+def _evaluate_on_host(env: HostEnv, policy: Function, starts: int) -> Returns:
+    act = jax.jit(jax.vmap(policy, in_axes=-1, out_axes=-1))
+    simulations = [env.simulate() for _ in range(starts)]
+    obs = np.stack(
+        [run.reset(streams.reset_seeds(seed, 1)[0]) for seed, run in enumerate(simulations)], axis=-1
+    )
+    returns, length, going = np.zeros(starts), np.zeros(starts, int), list(range(starts))
+    while going:
+        action = np.asarray(act(obs))
+        for place in tuple(going):
+            outcome = simulations[place].step(action[:, place])
+            obs[:, place] = outcome.obs
+            returns[place] += outcome.reward
+            length[place] += 1
+            if outcome.terminated or outcome.truncated:
+                going.remove(place)
+    return Returns(returns=jnp.asarray(returns), length=jnp.asarray(length))

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from gpcjax.engine import streams
-from gpcjax.envs.base import Env
 from gpcjax.envs.base import State as EnvState
 from gpcjax.learners.base import Learner
 from gpcjax.policies.base import Controller
@@ -50,6 +49,10 @@ class EpisodeRows(eqx.Module):
     """Steps whose action was outside [-1, 1]."""
     full: Int[Array, "episodes *lanes"]
     """Corrections that met a full dictionary."""
+    asked: Int[Array, "episodes *lanes"]
+    """Steps at which the coins allowed advice, so that the teacher's chance was worked out."""
+    chance_sum: Float[Array, "episodes *lanes"]
+    """The chances of advice at those steps, each the mean over the action dimensions."""
 
 
 class Tally(eqx.Module):
@@ -60,6 +63,8 @@ class Tally(eqx.Module):
     rate_sum: Float[Array, "*lanes"]
     clipped: Int[Array, "*lanes"]
     full: Int[Array, "*lanes"]
+    asked: Int[Array, "*lanes"]
+    chance_sum: Float[Array, "*lanes"]
 
 
 class CorrectionLog(eqx.Module):
@@ -127,18 +132,19 @@ def coin_window(
     start: Int[Array, ""],
 ) -> UInt32[Array, ""]:
     """Which of the steps from `start` may bring advice, as bits."""
+    teacher, largest = teacher.during(episode), learner.largest_sigma()
 
     def possible(step: Int[Array, ""]) -> Bool[Array, ""]:
         coins = streams.coins(seed, episode, step, learner.action_size)
-        return teacher.may_advise(coins, learner.largest_sigma()).any()
+        return teacher.may_advise(coins, largest).any()
 
     offsets = jnp.arange(WINDOW, dtype=jnp.uint32)
     bits = jax.vmap(possible)(start + offsets.astype(start.dtype))
     return jnp.where(bits, jnp.uint32(1) << offsets, jnp.uint32(0)).sum(dtype=jnp.uint32)
 
 
-def fresh(env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int) -> Lane:
-    """A lane at the start of its first episode, its learner idle."""
+def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int) -> Lane:
+    """A lane at the start `env` of its first episode, its learner idle."""
     zero = jnp.zeros((), jnp.int32)
     state = learner.init()
     rows = jnp.zeros(episodes, jnp.int32)
@@ -147,7 +153,7 @@ def fresh(env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], ep
         state=state,
         controller=learner.controller(state),
         teacher=teacher,
-        env=env.reset(streams.start_key(seed, zero)),
+        env=env,
         seed=seed,
         episode=zero,
         phase=jnp.asarray(Phase.RUNNING, jnp.int32),
@@ -166,6 +172,8 @@ def fresh(env: Env, learner: Learner, teacher: Teacher, seed: Int[Array, ""], ep
             human_points=rows,
             clipped=rows,
             full=rows,
+            asked=rows,
+            chance_sum=jnp.zeros(episodes),
         ),
         log=CorrectionLog(
             count=zero,
@@ -184,4 +192,6 @@ def empty_tally() -> Tally:
         rate_sum=jnp.zeros(()),
         clipped=jnp.zeros((), jnp.int32),
         full=jnp.zeros((), jnp.int32),
+        asked=jnp.zeros((), jnp.int32),
+        chance_sum=jnp.zeros(()),
     )

@@ -17,9 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gpcjax.engine.lanes import Lane, Phase, fresh, map_lanes
-from gpcjax.engine.rollout import Expert, Loop
+from gpcjax.engine.host import HostLoop
+from gpcjax.engine.lanes import Lane, Phase, map_lanes
+from gpcjax.engine.rollout import Loop
+from gpcjax.engine.teaching import Expert
 from gpcjax.envs.base import Env
+from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Learner
 from gpcjax.teachers.base import Teacher
 
@@ -55,8 +58,9 @@ TIERS = (
     Tier(96, 128, 16),
     Tier(128, 256, 16),
     Tier(256, 512, 16),
-    Tier(512, 1024, 8),
-    Tier(1024, 1024, 8),
+    Tier(512, 1024, 16),
+    Tier(512, 2048, 16),
+    Tier(1024, 4096, 8),
 )
 """Human models only append and outgrow policies, which SPARS keeps small.
 
@@ -67,7 +71,7 @@ proportional to the width from 32 lanes on, and those few that outgrow the other
 
 def tiers(max_capacity: int) -> tuple[Tier, ...]:
     """The tiers up to `max_capacity` points, the last one exactly there."""
-    largest, beyond = TIERS[-1].policy_capacity, list[Tier]()
+    largest, beyond = TIERS[-1].human_capacity, [Tier(*[TIERS[-1].human_capacity] * 2, 8)]
     while largest < max_capacity:
         largest *= 2
         beyond.append(Tier(largest, largest, 8))
@@ -101,6 +105,15 @@ class Finished:
     lane: Lane
 
 
+@dataclasses.dataclass(frozen=True)
+class _Occupant:
+    """A run while it is in the pool."""
+
+    name: Any
+    simulation: Any
+    """What it needs on the host, if anything; it goes with the lane from block to block."""
+
+
 @dataclasses.dataclass
 class Counters:
     """What a pool has done so far."""
@@ -117,16 +130,21 @@ class Pool:
     """Blocks of all tiers for starts of one structure (env, learner, sizes, episodes).
 
     Args:
-        env, expert: shared by all lanes.
+        env, expert: shared by all lanes. A task on the host is simulated there, between the calls of its programs.
         episodes: of every lane.
         template: a start whose structure all others share.
         tiers: capacities and widths, growing; the last one leaves a full dictionary to the learner's `on_full`.
     """
 
-    def __init__(self, env: Env, expert: Expert, episodes: int, template: Start, tiers: Sequence[Tier]):
+    def __init__(
+        self, env: Env | HostEnv, expert: Expert, episodes: int, template: Start, tiers: Sequence[Tier]
+    ):
         self.counters = Counters()
-        self._env, self._episodes = env, episodes
-        self._blocks = [_Block(self, tier, expert, template, last=tier is tiers[-1]) for tier in tiers]
+        loop = HostLoop if isinstance(env, HostEnv) else Loop
+        self._blocks = [
+            _Block(self, tier, loop(env, expert, episodes, grows=tier is not tiers[-1]), template)
+            for tier in tiers
+        ]
 
     def run(
         self,
@@ -147,14 +165,14 @@ class Pool:
                 block.begin(starts)
             else:
                 block.promote([block.waiting.popleft() for _ in range(min(block.free, len(block.waiting)))])
-            if not block.names:
+            if not block.runs:
                 continue
-            for name, lane in block.chunk():
+            for run, lane in block.chunk():
                 if lane.phase == Phase.NEEDS_ROOM:
                     self.counters.promotions += 1
-                    blocks[index + 1].waiting.append((name, lane))
+                    blocks[index + 1].waiting.append((run, lane))
                 else:
-                    deliver(Finished(name, lane))
+                    deliver(Finished(run.name, lane))
             look()
 
     def _choose(self, exhausted: bool) -> int | None:
@@ -171,54 +189,60 @@ class Pool:
 class _Block:
     """The lanes of one tier, and the programs that move them."""
 
-    def __init__(self, pool: Pool, tier: Tier, expert: Expert, template: Start, last: bool):
+    def __init__(self, pool: Pool, tier: Tier, loop: Loop | HostLoop, template: Start):
         self.tier = tier
-        self.names: dict[int, Any] = {}
-        """Name of the run in each occupied place."""
-        self.waiting: deque[tuple[Any, Lane]] = deque()
+        self.runs: dict[int, _Occupant] = {}
+        """The run in each occupied place."""
+        self.waiting: deque[tuple[_Occupant, Lane]] = deque()
         """Lanes of the smaller tier that need this one."""
-        self._pool, self._template = pool, template
-        self._loop = Loop(env=pool._env, expert=expert, episodes=pool._episodes, grows=not last)
-        self._lanes: Lane | None = None
-        self._programs: dict[str, Callable[..., Lane]] = {}
+        self._pool, self._loop, self._template = pool, loop, template
+        self._leaves: list[Any] = []
+        self._structure: Any = None
+        self._programs: dict[str, Callable[..., tuple[Any, ...]]] = {}
         self._rounds = 16
+
+    @property
+    def lanes(self) -> Lane:
+        """The block. Programs take and give its leaves: modules are put together when the host looks, not each time."""
+        return self._structure.unflatten(self._leaves)
+
+    @lanes.setter
+    def lanes(self, block: Lane) -> None:
+        self._leaves, self._structure = jax.tree.flatten(block)
 
     @property
     def free(self) -> int:
         """Places without a run."""
-        return self.tier.lanes - len(self.names)
+        return self.tier.lanes - len(self.runs)
 
     @property
     def work(self) -> int:
-        return len(self.names) + len(self.waiting)
+        return len(self.runs) + len(self.waiting)
 
     def begin(self, starts: Sequence[Start]) -> None:
         """Puts new lanes into free places."""
+        entered = [self._loop.enter(start.learner, start.teacher, start.seed) for start in starts]
+        runs = [
+            _Occupant(start.name, simulation) for start, (simulation, _) in zip(starts, entered, strict=True)
+        ]
+        self._enter("begin", self._loop.begin, runs, [entry for _, entry in entered])
 
-        def make(learner: Learner, teacher: Teacher, seed: Any) -> Lane:
-            return fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)
-
-        entries = [(start.learner, start.teacher, np.int64(start.seed)) for start in starts]
-        self._enter("begin", make, [start.name for start in starts], entries)
-
-    def promote(self, waiting: Sequence[tuple[Any, Lane]]) -> None:
+    def promote(self, waiting: Sequence[tuple[_Occupant, Lane]]) -> None:
         """Puts lanes that outgrew the smaller tier into free places; their corrections are still to come."""
 
         def make(lane: Lane) -> Lane:
             return dataclasses.replace(lane, phase=jnp.asarray(Phase.RUNNING, lane.phase.dtype))
 
-        self._enter("promote", make, [name for name, _ in waiting], [(lane,) for _, lane in waiting])
+        self._enter("promote", make, [run for run, _ in waiting], [(lane,) for _, lane in waiting])
 
-    def chunk(self) -> list[tuple[Any, Lane]]:
-        """Advances all lanes for a while; gives those that leave, with their names."""
-        assert self._lanes is not None
+    def chunk(self) -> list[tuple[_Occupant, Lane]]:
+        """Advances all lanes for a while; gives those that leave, with their runs."""
         before = self._work_done()
         began = time.perf_counter()
         compiling = self._pool.counters.compile_seconds
-        self._lanes = self._call(
-            "advance", lambda block, rounds: self._loop.advance(block, rounds), np.int32(self._rounds)
-        )
-        phases = np.array(self._lanes.phase)
+        simulations = {place: run.simulation for place, run in self.runs.items()}
+        self._loop.drive(self._call, simulations, self.tier.lanes, self._rounds)
+        phases = np.array(self.lanes.phase)
         after = self._work_done()
         self._pool.counters.env_steps += after[0] - before[0]
         self._pool.counters.episodes += after[1] - before[1]
@@ -228,20 +252,20 @@ class _Block:
         )
         self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._pool.counters.chunks += 1
-        leaving = [place for place in self.names if phases[place] != Phase.RUNNING]
+        leaving = [place for place in self.runs if phases[place] != Phase.RUNNING]
         lanes = self._take(leaving)
-        result = [(self.names.pop(place), lane) for place, lane in zip(leaving, lanes, strict=True)]
+        result = [(self.runs.pop(place), lane) for place, lane in zip(leaving, lanes, strict=True)]
         if leaving:
             phases[leaving] = Phase.EMPTY
-            self._lanes = dataclasses.replace(self._lanes, phase=jnp.asarray(phases))
+            self.lanes = dataclasses.replace(self.lanes, phase=jnp.asarray(phases))
         return result
 
     def _work_done(self) -> tuple[int, int]:
         """Steps and episodes of the lanes in the block."""
-        assert self._lanes is not None
-        occupied, episode = list(self.names), np.asarray(self._lanes.episode)
-        unwritten = np.where(episode < self._loop.episodes, np.asarray(self._lanes.env.time), 0)
-        steps = np.asarray(self._lanes.rows.length).sum(0) + unwritten
+        block = self.lanes
+        occupied, episode = list(self.runs), np.asarray(block.episode)
+        unwritten = np.where(episode < self._loop.episodes, np.asarray(block.env.time), 0)
+        steps = np.asarray(block.rows.length).sum(0) + unwritten
         return int(steps[occupied].sum()), int(episode[occupied].sum())
 
     def _sized(self, lane: Lane) -> Lane:
@@ -250,50 +274,52 @@ class _Block:
         return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
 
     def _enter(
-        self, program: str, make: Callable[..., Lane], names: Sequence[Any], entries: Sequence[tuple]
+        self, program: str, make: Callable[..., Lane], runs: Sequence[_Occupant], entries: Sequence[tuple]
     ) -> None:
         """Puts `make(*entry)` into a free place for each entry, several in one call."""
-        if self._lanes is None:
-            self._lanes = self._empty()
+        if self._structure is None:
+            self.lanes = self._empty()
 
-        def enter(block: Lane, places: Any, count: Any, entries: tuple) -> Lane:
+        def enter(block: Lane, places: Any, count: Any, entries: tuple) -> tuple[Lane]:
             def one(i: Any, block: Lane) -> Lane:
                 entry = jax.tree.map(lambda leaf: leaf[i], entries)
                 return _insert(block, places[i], self._sized(make(*entry)))
 
-            return jax.lax.fori_loop(0, count, one, block)
+            return (jax.lax.fori_loop(0, count, one, block),)
 
         at_once = min(ENTER, self.tier.lanes)
-        free = [place for place in range(self.tier.lanes) if place not in self.names]
+        free = [place for place in range(self.tier.lanes) if place not in self.runs]
         for first in range(0, len(entries), at_once):
             batch = entries[first : first + at_once]
             places = np.resize(np.array(free[first : first + len(batch)], np.int32), at_once)
             padded = [*batch, *[batch[-1]] * (at_once - len(batch))]
             stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
-            self._lanes = self._call(program, enter, places, np.int32(len(batch)), stacked)
-        self.names.update(zip(free, names, strict=False))
+            self._call(program, enter, places, np.int32(len(batch)), stacked)
+        self.runs.update(zip(free, runs, strict=False))
 
-    def _call(self, program: str, function: Callable[..., Lane], *arguments: Any) -> Lane:
-        """Runs a program on the block, which it consumes; compiles it the first time."""
+    def _call(self, program: str, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple:
+        """Runs a program on the block, which it replaces; gives what else it returns. Compiles it first."""
         if program not in self._programs:
+            structure = self._structure
+
+            def flat(leaves: list[Any], *arguments: Any) -> tuple[list[Any], tuple[Any, ...]]:
+                block, *others = function(structure.unflatten(leaves), *arguments)
+                return jax.tree.leaves(block), tuple(others)
+
             began = time.perf_counter()
-            lowered = jax.jit(function, donate_argnums=0).lower(self._lanes, *arguments)
-            self._programs[program] = lowered.compile()
+            self._programs[program] = (
+                jax.jit(flat, donate_argnums=0).lower(self._leaves, *arguments).compile()
+            )
             self._pool.counters.compile_seconds += time.perf_counter() - began
             self._pool.counters.compilations += 1
-        return self._programs[program](self._lanes, *arguments)
+        self._leaves, others = self._programs[program](self._leaves, *arguments)
+        return others
 
     def _empty(self) -> Lane:
         """A block without runs: every place holds a copy of one idle lane."""
         start = self._template
-        shapes = jax.eval_shape(
-            lambda learner, teacher, seed: self._sized(
-                fresh(self._loop.env, learner, teacher, seed, self._loop.episodes)
-            ),
-            start.learner,
-            start.teacher,
-            np.int64(start.seed),
-        )
+        _, entry = self._loop.enter(start.learner, start.teacher, start.seed)
+        shapes = jax.eval_shape(lambda *entry: self._sized(self._loop.begin(*entry)), *entry)
 
         def zeros(leaf: jax.ShapeDtypeStruct, axis: int) -> jax.Array:
             shape = (self.tier.lanes, *leaf.shape) if axis == 0 else (*leaf.shape, self.tier.lanes)
@@ -306,8 +332,7 @@ class _Block:
         """Copies of lanes, on the host."""
         if not places:
             return []
-        assert self._lanes is not None
-        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self._lanes)
+        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self.lanes)
         leaves, structure = jax.tree.flatten(taken)
         return [structure.unflatten([leaf[i] for leaf in leaves]) for i in range(len(places))]
 

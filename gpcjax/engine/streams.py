@@ -10,6 +10,7 @@ ten times as long as the same rounds written out.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
@@ -29,6 +30,12 @@ def start_key(seed: Scalar, episode: Scalar) -> PRNGKeyArray:
     """For `Env.reset` at the start of an episode (from 0)."""
     key = jnp.stack(_episode_key(seed, START, episode))
     return jax.random.wrap_key_data(key, impl="threefry2x32")
+
+
+def reset_seeds(seed: int, episodes: int) -> list[int]:
+    """For `Simulation.reset` at the start of each episode: the first words of their start keys."""
+    first = jax.vmap(lambda episode: _episode_key(seed, START, episode)[0])(jnp.arange(episodes))
+    return np.asarray(first).tolist()
 
 
 def coins(seed: Scalar, episode: Scalar, step: Scalar, action_size: int) -> Float[Array, " action"]:

@@ -108,3 +108,32 @@ class EnergySwingUp(ByIdentity):
         pump = self.pump_gain * (self.surplus - energy) * (theta_dot + self.lead * sin)
         weight = jax.nn.sigmoid((cos - self.fade_at) / self.fade_width)
         return jnp.clip(weight * stabilise + (1.0 - weight) * pump, -1.0, 1.0)[None]
+
+
+class LanderHeuristic(ByIdentity):
+    """Gymnasium's demonstration controller of the continuous lunar lander: the same law, for one lane.
+
+    The lander leans towards the pad, by at most `lean`, and keeps a height in proportion to its distance from it; both
+    with a proportional and a derivative term. With a leg on the ground it only brakes.
+
+    | Field         | Meaning                                                  | Default |
+    |---------------|----------------------------------------------------------|---------|
+    | `lean`        | largest angle aimed at (rad)                             | 0.4     |
+    | `glide`       | height aimed at for each unit of horizontal distance     | 0.55    |
+    | `sensitivity` | action for a unit of what is to be done                  | 20.0    |
+
+    Source of the law and its numbers: `gymnasium.envs.box2d.lunar_lander.heuristic`.
+    """
+
+    lean: Float[Array, ""] = eqx.field(default=0.4, converter=parameter)
+    glide: Float[Array, ""] = eqx.field(default=0.55, converter=parameter)
+    sensitivity: Float[Array, ""] = eqx.field(default=20.0, converter=parameter)
+
+    def __call__(self, obs: Float[Array, "8"]) -> Float[Array, "2"]:
+        x, y, x_dot, y_dot, angle, spin, left, right = (obs[i] for i in range(8))
+        angle_target = jnp.clip(0.5 * x + x_dot, -self.lean, self.lean)
+        turn = 0.5 * (angle_target - angle) - spin
+        climb = 0.5 * (self.glide * jnp.abs(x) - y) - 0.5 * y_dot
+        landed = (left != 0) | (right != 0)
+        turn, climb = jnp.where(landed, 0.0, turn), jnp.where(landed, -0.5 * y_dot, climb)
+        return jnp.clip(jnp.stack([self.sensitivity * climb - 1.0, -self.sensitivity * turn]), -1.0, 1.0)

@@ -1,8 +1,9 @@
 """Names of tasks and of their experts. Plain data that loads no jax: what a name stands for is imported on demand."""
 
 import importlib
+import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from jaxtyping import Array
 
     from gpcjax.envs.base import Env
+    from gpcjax.envs.host import HostEnv
 
 
 @dataclass(frozen=True)
@@ -20,14 +22,16 @@ class Entry:
 
     | Field      | Meaning                                                                              |
     |------------|--------------------------------------------------------------------------------------|
-    | `target`   | "module:attribute" of the class of the environment                                   |
+    | `target`   | "module:attribute" of what makes the environment                                     |
     | `experts`  | expert name -> ("module:attribute" of a factory, its arguments...); the default first |
     | `episodes` | default length of a sweep                                                            |
+    | `max_capacity` | default bound of a dictionary's points                                           |
     """
 
     target: str
     experts: Mapping[str, tuple[str, ...]]
     episodes: int
+    max_capacity: int = 1024
 
 
 ENVS: Mapping[str, Entry] = MappingProxyType(
@@ -37,6 +41,8 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
             experts=MappingProxyType(
                 {
                     "gpc": ("gpcjax.policies.saved:load_shipped", "cartpole"),
+                    "gpc-2": ("gpcjax.policies.saved:load_shipped", "cartpole-2"),
+                    "gpc-3": ("gpcjax.policies.saved:load_shipped", "cartpole-3"),
                     "lqr": ("gpcjax.envs.experts:LQR",),
                 }
             ),
@@ -52,6 +58,12 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
             ),
             episodes=40,
         ),
+        "lunarlander": Entry(
+            target="gpcjax.envs.host:lunar_lander",
+            experts=MappingProxyType({"heuristic": ("gpcjax.envs.experts:LanderHeuristic",)}),
+            episodes=200,
+            max_capacity=4096,
+        ),
     }
 )
 
@@ -66,23 +78,36 @@ def expert_names(env_name: str) -> tuple[str, ...]:
     return tuple(_entry(env_name).experts)
 
 
+def shipped_names(env_name: str) -> tuple[str, ...]:
+    """The folders of the shipped policies that are experts of a task. Raises ValueError for an unknown task."""
+    experts = _entry(env_name).experts.values()
+    return tuple(arguments[0] for target, *arguments in experts if target.endswith(":load_shipped"))
+
+
 def default_episodes(env_name: str) -> int:
     """How many episodes a sweep of this task runs. Raises ValueError for an unknown task."""
     return _entry(env_name).episodes
 
 
-def make_env(env_name: str, /, **parameters: Any) -> "Env":
+def default_max_capacity(env_name: str) -> int:
+    """Points that a dictionary may hold in a sweep of this task. Raises ValueError for an unknown task."""
+    return _entry(env_name).max_capacity
+
+
+def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     """Build a task by name, with other physical parameters if given (`make_env("cartpole", pole_mass=0.2)`).
+
+    "lunarlander" is simulated on the host: a `gpcjax.envs.host.HostEnv`.
 
     Raises:
         ValueError: an unknown task or parameter, or a value that the task refuses.
     """
-    cls: Any = _resolve(_entry(env_name).target)
-    allowed = tuple(field.name for field in fields(cls))
+    make: Any = _resolve(_entry(env_name).target)
+    allowed = tuple(inspect.signature(make).parameters)
     for name in parameters:
         if name not in allowed:
             raise ValueError(f"unknown parameter {name!r} of {env_name}; allowed: {', '.join(allowed)}")
-    return cls(**parameters)
+    return make(**parameters)
 
 
 def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":

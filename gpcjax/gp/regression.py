@@ -11,6 +11,7 @@ import functools
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -18,33 +19,35 @@ from jaxtyping import Array, Bool, Float, Int
 from gpcjax.gp import factor
 from gpcjax.gp.kernels import Kernel
 
+Places = factor.Places
+
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
 
 
 class Posterior(eqx.Module):
-    """A dictionary of up to n points of d dimensions and its factor.
+    """A dictionary of up to n points of d dimensions and its factor; or many, their places as first axes.
 
     Rows from `count` on are unused: their points and targets are zero, and so are their rows and columns of `matrix`
     (but for the unit diagonal of a Cholesky factor).
     """
 
-    points: Float[Array, "n d"]
+    points: Float[Array, "*places n d"]
     """Inputs as given, before scaling."""
-    targets: Float[Array, " n"]
+    targets: Float[Array, "*places n"]
     """Outputs: actions for a policy, advice for a human model."""
-    count: Int[Array, ""]
+    count: Int[Array, "*places"]
     """Number of points in use, int32."""
-    scale: Float[Array, " d"]
+    scale: Float[Array, "*places d"]
     """What each input dimension is multiplied by before the kernel."""
-    matrix: Float[Array, "n n"]
+    matrix: Float[Array, "*places n n"]
     """Inverse root S (fixed scale) or Cholesky factor L (normalised)."""
-    weights: Float[Array, " n"]
+    weights: Float[Array, "*places n"]
     """(K + noise I)^-1 targets; zeros in a model that keeps none."""
 
     @property
     def capacity(self) -> int:
-        return self.points.shape[0]
+        return self.points.shape[-2]
 
     @property
     def active(self) -> Bool[Array, " n"]:
@@ -61,7 +64,28 @@ class Appended(eqx.Module):
     target: Float[Array, ""]
     row: Float[Array, " n"]
     """Of `matrix`."""
+
+    def only(self, write: Bool[Array, ""]) -> "Appended":
+        """The same where `write` is true, and nothing to be written where it is not."""
+        return dataclasses.replace(
+            self,
+            index=jnp.where(write, self.index, self.row.shape[0]),
+            count=jnp.where(write, self.count, self.index),
+        )
+
+
+class Placed(eqx.Module):
+    """What a point changes in a posterior of fixed scale, appended or in another one's place: vectors too."""
+
+    edit: factor.Edit
+    before: Int[Array, ""]
+    """Count of points before."""
+    count: Int[Array, ""]
+    point: Float[Array, " d"]
+    target: Float[Array, ""]
     weights: Float[Array, " n"]
+    given: Bool[Array, ""]
+    """Whether there is anything to be written."""
 
 
 class GaussianProcess(eqx.Module):
@@ -98,66 +122,82 @@ class GaussianProcess(eqx.Module):
         values = self.kernel.covariances(posterior.points, point, posterior.scale)
         return jnp.where(posterior.active, values, 0.0)
 
-    def deviation(self, posterior: Posterior, covariances: Float[Array, " n"]) -> Float[Array, ""]:
-        """Predictive standard deviation at the input with these covariances, noise included (2.9)."""
+    def whiten(
+        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """S k, or L^-1 k: its squared norm is the variance that the points explain."""
         if self.normalise:
-            whitened = factor.solve(posterior.matrix, covariances)
-        else:
-            whitened = factor.whiten(posterior.matrix, covariances)
-        return jnp.sqrt(self._variance(whitened))
+            return factor.solve(factor.take(posteriors.matrix, where), covariances)
+        return factor.whiten(posteriors.matrix, where, posteriors.count[where], covariances)
+
+    def deviation(self, whitened: Float[Array, " n"]) -> Float[Array, ""]:
+        """Predictive standard deviation of the input with these whitened covariances, noise included (2.9).
+
+        Rounding cannot take it below that of the noise.
+        """
+        return jnp.sqrt(jnp.maximum(self._prior - (whitened * whitened).sum(), self.noise))
+
+    def uncertainty(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, ""]:
+        """Predictive standard deviation at `point`."""
+        return self.deviation(self.whiten(posterior, (), self.covariances(posterior, point)))
 
     def put(
         self,
-        posterior: Posterior,
+        posteriors: Posterior,
+        where: Places,
+        whitened: Float[Array, " n"],
         point: Float[Array, " d"],
         target: Float[Array, ""],
         index: Int[Array, ""],
         write: Bool[Array, ""],
-    ) -> Posterior:
-        """Appends (`index == count`) or replaces (`index < count`) one point; where `write` is false, nothing changes.
+    ) -> "Posterior | Placed":
+        """What one point changes that is appended (`index == count`) or replaces another (`index < count`).
 
-        The caller keeps `index` below the capacity wherever `write` is true.
+        `whitened` is that of `point`. The caller keeps `index` below the capacity wherever `write` is true; where it is
+        false, nothing changes. For `write`.
         """
-        if not (self.normalise or self.replaces):
-            return write_appended(posterior, self.append(posterior, point, target, write))
-        here = (jnp.arange(posterior.capacity) == index) & write
-        appended = write & (index >= posterior.count)
-        data = dataclasses.replace(
-            posterior,
-            points=jnp.where(here[:, None], point[None], posterior.points),
-            targets=jnp.where(here, target, posterior.targets),
-            count=posterior.count + appended.astype(posterior.count.dtype),
-        )
+        before = small(posteriors, where)
+        here = jnp.arange(before.capacity) == index
+        count = before.count + (write & (index >= before.count)).astype(before.count.dtype)
+        targets = jnp.where(here & write, target, before.targets)
         if self.normalise:
-            return self._refactor(posterior, data, write)
-        return self._update(data, posterior, point, index, write)
+            points = jnp.where((here & write)[:, None], point[None], before.points)
+            before = take(posteriors, where)
+            data = dataclasses.replace(before, points=points, targets=targets, count=count)
+            return self._refactor(before, data, write)
+        edit, column = factor.edit(
+            posteriors.matrix, where, before.count, index, whitened, self._prior, self.noise
+        )
+        weights = before.weights
+        if self.keeps_weights:
+            share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(column, index), 1.0)
+            others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - column * share), weights)
+            weights = jnp.where(write, others + edit.row * (edit.row * targets).sum(), weights)
+        return Placed(edit, before.count, count, point, target, weights, write)
 
     def append(
         self,
-        posterior: Posterior,
+        posteriors: Posterior,
+        where: Places,
         point: Float[Array, " d"],
         target: Float[Array, ""],
-        write: Bool[Array, ""],
-    ) -> Appended:
-        """What one more point changes, for `write_appended`. With a fixed scale only.
+    ) -> tuple[Float[Array, ""], Appended]:
+        """The deviation at `point`, and what it changes as one more point, for `write_appended`.
 
-        The caller keeps `count` below the capacity wherever `write` is true.
+        For a fixed scale, without weights, and a dictionary to which points were only appended: the one at `where`
+        among `posteriors`, whose matrices are not copied. The caller keeps `count` below the capacity, or the point is
+        no part of it.
         """
-        whitened = factor.whiten(posterior.matrix, self.covariances(posterior, point))
-        row = factor.new_row(posterior.matrix, posterior.count, whitened, self._variance(whitened))
-        weights = posterior.weights
-        if self.keeps_weights:
-            here = jnp.arange(posterior.capacity) == posterior.count
-            targets = jnp.where(here, target, posterior.targets)
-            weights = jnp.where(write, weights + row * (row * targets).sum(), weights)
-        return Appended(
-            index=jnp.where(write, posterior.count, posterior.capacity),
-            count=posterior.count + write.astype(posterior.count.dtype),
-            point=point,
-            target=target,
-            row=row,
-            weights=weights,
+        posterior = small(posteriors, where)
+        deviation, row = factor.append(
+            posteriors.matrix,
+            where,
+            posterior.count,
+            self.covariances(posterior, point),
+            self._prior,
+            self.noise,
         )
+        return deviation, Appended(posterior.count, posterior.count + 1, point, target, row)
 
     def grow(self, posterior: Posterior, capacity: int) -> Posterior:
         """The same dictionary with room for `capacity` points."""
@@ -180,33 +220,10 @@ class GaussianProcess(eqx.Module):
             weights=pad(posterior.weights),
         )
 
-    def _variance(self, whitened: Float[Array, " n"]) -> Float[Array, ""]:
-        """Prior variance less what is explained; rounding cannot take it below the noise."""
-        return jnp.maximum(self.kernel.variance + self.noise - (whitened * whitened).sum(), self.noise)
-
-    def _update(
-        self,
-        data: Posterior,
-        before: Posterior,
-        point: Float[Array, " d"],
-        index: Int[Array, ""],
-        write: Bool[Array, ""],
-    ) -> Posterior:
-        root, weights = before.matrix, before.weights
-        covariances = self.covariances(before, point)
-        replaced = write & (index < before.count)
-        root, column = factor.remove(root, index, replaced)
-        # Column `index` of the new root is zero, so the old point's covariance no longer matters.
-        if self.keeps_weights:
-            here = jnp.arange(before.capacity) == index
-            share = jnp.take(weights, index) / jnp.where(replaced, jnp.take(column, index), 1.0)
-            remaining = jnp.where(here, 0.0, weights - column * share)
-            weights = jnp.where(replaced, remaining, weights)
-        whitened = factor.whiten(root, covariances)
-        root, row = factor.append(root, index, whitened, self._variance(whitened), write)
-        if self.keeps_weights:
-            weights = jnp.where(write, weights + row * (row * data.targets).sum(), before.weights)
-        return dataclasses.replace(data, matrix=root, weights=weights)
+    @property
+    def _prior(self) -> Float[Array, ""]:
+        """Variance of an observation before any data."""
+        return self.kernel.variance + self.noise
 
     def _refactor(self, before: Posterior, data: Posterior, write: Bool[Array, ""]) -> Posterior:
         scale = normalising_scale(data.points, data.active)
@@ -234,21 +251,38 @@ class GaussianProcess(eqx.Module):
         return jnp.eye(data.capacity).at[:size, :size].set(lower), weights
 
 
-def write_appended(
-    posterior: Posterior, appended: Appended, where: tuple[Int[Array, ""] | int, ...] = ()
-) -> Posterior:
-    """The posterior with the new point. `where` tells its place if the fields have axes before their own."""
-    there = (*where, appended.index)
-    return eqx.tree_at(
-        lambda old: (old.points, old.targets, old.count, old.matrix, old.weights),
-        posterior,
-        (
-            posterior.points.at[there].set(appended.point, mode="drop"),
-            posterior.targets.at[there].set(appended.target, mode="drop"),
-            posterior.count.at[where].set(appended.count),
-            posterior.matrix.at[there].set(appended.row, mode="drop"),
-            posterior.weights.at[where].set(appended.weights),
-        ),
+def take(posteriors: Posterior, where: Places) -> Posterior:
+    """The one at `where`."""
+    return jax.tree.map(lambda leaf: factor.take(leaf, where), posteriors)
+
+
+def small(posteriors: Posterior, where: Places) -> Posterior:
+    """The one at `where`, with an empty matrix: the others of its fields are small."""
+    nothing = jnp.zeros((*posteriors.matrix.shape[: len(where)], 0, 0))
+    return take(eqx.tree_at(lambda old: old.matrix, posteriors, nothing), where)
+
+
+def write(posteriors: Posterior, where: Places, change: Posterior | Placed | Appended) -> Posterior:
+    """The posteriors with a change of the one at `where`."""
+    if isinstance(change, Posterior):
+        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), posteriors, change)
+    if isinstance(change, Appended):
+        index, matrix = (
+            change.index,
+            posteriors.matrix.at[(*where, change.index)].set(change.row, mode="drop"),
+        )
+        weights = posteriors.weights
+    else:
+        index = jnp.where(change.given, change.edit.index, change.edit.row.shape[0])
+        matrix = factor.write(posteriors.matrix, where, change.before, change.edit, change.given)
+        weights = posteriors.weights.at[where].set(change.weights)
+    return Posterior(
+        points=posteriors.points.at[(*where, index)].set(change.point, mode="drop"),
+        targets=posteriors.targets.at[(*where, index)].set(change.target, mode="drop"),
+        count=posteriors.count.at[where].set(change.count),
+        scale=posteriors.scale,
+        matrix=matrix,
+        weights=weights,
     )
 
 

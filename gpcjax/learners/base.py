@@ -1,13 +1,14 @@
 """What a learner is: a frozen module of hyperparameters whose pure methods move a state."""
 
 import abc
+import dataclasses
 import enum
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
@@ -67,6 +68,8 @@ class Learner(ByIdentity):
 
     Methods are pure, compile themselves when they are called directly, and may be used inside jit, vmap and scan.
     Numbers are leaves, so that a grid over hyperparameters is a vmap; sizes and names are static.
+
+    Every leaf of a state has the action dimensions as its first axis.
 
     Subclasses implement the underscored methods for checked float64 arrays.
     """
@@ -155,16 +158,21 @@ class Learner(ByIdentity):
     @abc.abstractmethod
     def _correct(
         self,
-        state: State,
+        states: State,
+        where: tuple[Int[Array, ""], ...],
         obs: Float[Array, " obs"],
-        action: Float[Array, " action"],
-        advice: Float[Array, " action"],
+        action: Float[Array, ""],
+        advice: Float[Array, ""],
     ) -> tuple[Change, Info]:
-        """What a correction changes, for `_write`."""
+        """What a correction of one action dimension changes, for `_write`.
+
+        `where` is its place in `states`: the index of the dimension, after that of the lane if there are several. The
+        dimensions learn for themselves: what is untouched by advice costs nothing.
+        """
 
     @abc.abstractmethod
     def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
-        """The state with a change; `where` is its place (an index of the first axis) among many, or empty."""
+        """The states with a change; `where` is its place, the indices of their first axes."""
 
     def _vector(
         self, name: str, value: Real[ArrayLike, " given"] | Sequence[float], size: int
@@ -173,11 +181,6 @@ class Learner(ByIdentity):
         if array.shape != (size,):
             raise ValueError(f"{name} has shape {array.shape}, this learner takes ({size},)")
         return array
-
-
-def write_whole(states: State, where: tuple[Int[Array, ""], ...], change: State) -> State:
-    """`Learner._write` of a change that is a whole state."""
-    return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
 
 
 @eqx.filter_jit
@@ -200,5 +203,13 @@ def _correct(
     action: Float[Array, " action"],
     advice: Float[Array, " action"],
 ) -> tuple[State, Info]:
-    change, info = learner._correct(state, obs, action, advice)
-    return learner._write(state, (), change), info
+    # One dimension after the other: jaxlib's batched Cholesky waits for pool threads while it holds one, and two such
+    # calls at once can wait for each other for ever. A batch of one never waits.
+
+    def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
+        dimension, action, advice = given
+        change, info = learner._correct(state, (dimension,), obs, action, advice)
+        return learner._write(state, (dimension,), change), info
+
+    state, info = lax.scan(one, state, (jnp.arange(learner.action_size), action, advice))
+    return state, dataclasses.replace(info, status=info.status.max())

@@ -10,10 +10,11 @@
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.learners.base import Info, Learner, Status, write_whole
+from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.grid import Grid, GridController
 
 
@@ -73,33 +74,35 @@ class COACH(Learner):
         return jnp.full(self.action_size, jnp.nan)
 
     def _write(self, states, where, change):
-        return write_whole(states, where, change)
+        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
 
-    def _correct(self, state, obs, action, advice):
-        features = self.grid.features(obs)[None]
-        each = lambda values: values.reshape(-1, *[1] * len(self.grid.counts))  # noqa: E731
-        axes = tuple(range(1, features.ndim))
+    def _correct(self, states, where, obs, action, advice):
+        state, dimension = jax.tree.map(lambda leaf: leaf[where], states), where[-1]
+        beta, magnitude, constant = (
+            jnp.take(values, dimension) for values in (self.beta, self.magnitude, self.constant)
+        )
+        features = self.grid.features(obs)
         given = advice != 0
 
-        estimate = (state.human * features).sum(axes)  # line 7, before the update of psi
-        alpha = jnp.abs(estimate) + self.constant  # line 10
-        rate = alpha * self.magnitude * (features * features).sum()
+        estimate = (state.human * features).sum()  # line 7, before the update of psi
+        alpha = jnp.abs(estimate) + constant  # line 10
+        rate = alpha * magnitude * (features * features).sum()
         finite = jnp.isfinite(rate)
         learns = given & finite
-        human_step = self.beta * (advice - estimate)  # line 8
-        policy_step = alpha * advice * self.magnitude  # line 11
+        human_step = beta * (advice - estimate)  # line 8
+        policy_step = alpha * advice * magnitude  # line 11
         state = COACHState(
-            policy=jnp.where(each(learns), state.policy + each(policy_step) * features, state.policy),
-            human=jnp.where(each(learns), state.human + each(human_step) * features, state.human),
+            policy=jnp.where(learns, state.policy + policy_step * features, state.policy),
+            human=jnp.where(learns, state.human + human_step * features, state.human),
         )
-        none = jnp.zeros(self.action_size, bool)
+        none = jnp.zeros((), bool)
         info = Info(
             rate=jnp.where(given, rate, 0.0),
-            sigma_policy=jnp.full(self.action_size, jnp.nan),
-            sigma_human=jnp.full(self.action_size, jnp.nan),
+            sigma_policy=jnp.array(jnp.nan),
+            sigma_human=jnp.array(jnp.nan),
             appended=none,
             replaced=none,
             full=none,
-            status=jnp.where((finite | ~given).all(), Status.OK, Status.NON_FINITE).astype(jnp.int32),
+            status=jnp.where(finite | ~given, Status.OK, Status.NON_FINITE).astype(jnp.int32),
         )
         return state, info

@@ -11,15 +11,13 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.regression import Appended, GaussianProcess, Posterior, write_appended
-from gpcjax.learners.base import Info, Learner, Status, write_whole
+from gpcjax.gp.regression import Appended, GaussianProcess, Placed, Posterior, small, write
+from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
 
@@ -31,13 +29,13 @@ class GPCState(eqx.Module):
 
 
 class GPCChange(eqx.Module):
-    """What a correction changes in a `GPCState`; fields have an axis for the action dimensions, as there.
+    """What a correction changes in one action dimension of a `GPCState`.
 
-    A replaced or normalised point changes all of its factor, one that is appended one row.
+    Vectors for GPC, however large the factors are; with normalisation all is new.
     """
 
-    policy: Posterior
-    human: Posterior | Appended
+    policy: Posterior | Placed
+    human: Posterior | Placed | Appended
 
 
 class GPC(Learner):
@@ -109,61 +107,44 @@ class GPC(Learner):
 
     def _uncertainty(self, state, obs, action):
         def one(human: Posterior, action: Float[Array, ""]) -> Float[Array, ""]:
-            return self.human.deviation(human, self.human.covariances(human, _pair(obs, action)))
+            return self.human.uncertainty(human, _pair(obs, action))
 
         return jax.vmap(one)(state.human, action)
 
-    def _correct(self, state, obs, action, advice):
-        if self.policy.normalise:
-            # One dimension after the other: jaxlib's batched Cholesky waits for pool threads while it holds one, and
-            # two such calls at once can wait for each other for ever. A batch of one never waits.
-            parts = [
-                self._correct_one(jax.tree.map(lambda leaf, i=i: leaf[i], state), obs, action[i], advice[i])
-                for i in range(self.action_size)
-            ]
-            change, info = jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
-        else:
-            change, info = jax.vmap(self._correct_one, in_axes=(0, None, 0, 0))(state, obs, action, advice)
-        return change, dataclasses.replace(info, status=info.status.max())
-
     def _write(self, states, where, change):
-        if not isinstance(change.human, Appended):
-            return write_whole(states, where, GPCState(policy=change.policy, human=change.human))
-        human = states.human
-        for i in range(self.action_size):
-            human = write_appended(human, jax.tree.map(lambda leaf, i=i: leaf[i], change.human), (*where, i))
-        return GPCState(policy=write_whole(states.policy, where, change.policy), human=human)
+        return GPCState(
+            policy=write(states.policy, where, change.policy),
+            human=write(states.human, where, change.human),
+        )
 
-    def _correct_one(
-        self,
-        state: GPCState,
-        obs: Float[Array, " obs"],
-        action: Float[Array, ""],
-        advice: Float[Array, ""],
-    ) -> tuple[GPCChange, Info]:
-        """Alg. 2, lines 7 to 14, for one action dimension; its models have no leading axis here."""
-        pair = _pair(obs, action)
-        human_covariances = self.human.covariances(state.human, pair)
-        policy_covariances = self.policy.covariances(state.policy, obs)
-        sigma_human = self.human.deviation(state.human, human_covariances)
-        sigma_policy = self.policy.deviation(state.policy, policy_covariances)
+    def _correct(self, states, where, obs, action, advice):
+        """Alg. 2, lines 7 to 14."""
+        pair, only_appends = _pair(obs, action), not (self.human.normalise or self.human.replaces)
+        policy = small(states.policy, where)
+        policy_covariances = self.policy.covariances(policy, obs)
+        policy_whitened = self.policy.whiten(states.policy, where, policy_covariances)
+        sigma_policy = self.policy.deviation(policy_whitened)
+        human_count = states.human.count[where]
+        if only_appends:
+            sigma_human, appended = self.human.append(states.human, where, pair, advice)
+        else:
+            human_covariances = self.human.covariances(small(states.human, where), pair)
+            human_whitened = self.human.whiten(states.human, where, human_covariances)
+            sigma_human = self.human.deviation(human_whitened)
         adaptive = sigma_policy + sigma_human + self.constant_rate  # (3.5)
         rate = adaptive if self.static_rate is None else self.static_rate
         target = action + rate * advice
 
         given = advice != 0
         threshold = 0.5 * jnp.sqrt(self.policy.kernel.variance)
-        replaces = (
-            (sigma_policy < threshold) & (state.policy.count > 0) if self.sparsify else jnp.array(False)
-        )
-        policy_full = ~replaces & (state.policy.count >= state.policy.capacity)
-        human_full = state.human.count >= state.human.capacity
+        replaces = (sigma_policy < threshold) & (policy.count > 0) if self.sparsify else jnp.array(False)
+        policy_full = ~replaces & (policy.count >= policy.capacity)
+        human_full = human_count >= states.human.points.shape[-2]
         full = given & (policy_full | human_full)
         finite = jnp.isfinite(target) & jnp.isfinite(sigma_policy) & jnp.isfinite(sigma_human)
         learns = given & finite
 
-        policy_index = jnp.where(replaces, policy_covariances.argmax(), state.policy.count)
-        human_index = state.human.count
+        policy_index = jnp.where(replaces, policy_covariances.argmax(), policy.count)
         policy_learns, human_learns = learns, learns
         if self.on_full == "error":
             policy_learns = human_learns = learns & ~full
@@ -172,15 +153,22 @@ class GPC(Learner):
         else:
             replaces = replaces | policy_full
             policy_index = jnp.where(policy_full, policy_covariances.argmax(), policy_index)
-            human_index = jnp.where(human_full, human_covariances.argmax(), human_index)
 
-        policy = self.policy.put(state.policy, obs, target, policy_index, policy_learns)
-        if self.human.normalise or self.human.replaces:
-            human = self.human.put(state.human, pair, advice, human_index, human_learns)
-            finite &= jnp.isfinite(jnp.trace(human.matrix))
-        else:
-            human = self.human.append(state.human, pair, advice, human_learns)
+        policy = self.policy.put(
+            states.policy, where, policy_whitened, obs, target, policy_index, policy_learns
+        )
+        if only_appends:
+            human = appended.only(human_learns)
             finite &= jnp.isfinite(human.row).all() | ~human_learns
+        else:
+            human_index = human_count
+            if self.on_full == "replace-nearest":
+                human_index = jnp.where(human_full, human_covariances.argmax(), human_index)
+            human = self.human.put(
+                states.human, where, human_whitened, pair, advice, human_index, human_learns
+            )
+            changed = human.matrix if isinstance(human, Posterior) else human.edit.row
+            finite &= jnp.isfinite(changed).all() | ~human_learns
         finite &= jnp.isfinite(policy.weights).all()
         refused = full if self.on_full == "error" else jnp.array(False)
         status = jnp.where(finite | ~given, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)

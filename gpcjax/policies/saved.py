@@ -92,14 +92,14 @@ def load_card(path: str | os.PathLike[str]) -> dict[str, Any]:
     return card
 
 
-def shipped_path(env_name: str) -> Path:
-    """Where the `gpc` oracle of a task is kept inside the package."""
-    return Path(str(resources.files("gpcjax.policies") / "shipped" / env_name))
+def shipped_path(name: str) -> Path:
+    """Where a `gpc` oracle is kept inside the package: by the name of its task, further ones with -2, -3."""
+    return Path(str(resources.files("gpcjax.policies") / "shipped" / name))
 
 
-def load_shipped(env_name: str) -> Policy:
-    """The `gpc` oracle of a task: learned by GPC itself, see its card (`make oracles`)."""
-    return load_policy(shipped_path(env_name))
+def load_shipped(name: str) -> Policy:
+    """A `gpc` oracle of a task: learned by GPC itself, see its card (`make oracles`)."""
+    return load_policy(shipped_path(name))
 
 
 def _parts(controller: Controller) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gpcjax.allowed import NON_NEGATIVE, Numbers
 from gpcjax.engine.pool import Pool, Start, Tier, tiers
-from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.learners.base import Learner
 from gpcjax.learners.factory import make_learner
 from gpcjax.sweep.plan import Cell, Program, program_of
@@ -45,6 +45,10 @@ def _parts(cell: Cell) -> tuple[Learner, Oracle]:
         }
     learner: Learner = make_learner(cell.algo, cell.env, **options)
     teacher = _oracle(cell.rate, cell.error, cell.delta, values.get("active_gain", 0.0))
+    if cell.rate_schedule:
+        last = cell.rate_schedule[-1:] * cell.episodes
+        rates = jnp.asarray((*cell.rate_schedule, *last)[: cell.episodes])
+        teacher = dataclasses.replace(teacher, schedule=rates)
     return jax.tree.map(np.asarray, (learner, teacher))
 
 
@@ -62,7 +66,7 @@ def make_pool(cell: Cell) -> Pool:
 
 def make_oracle(
     env_name: str,
-    expert_name: str = "gpc",
+    expert_name: str | None = None,
     *,
     rate: float = 0.05,
     error: float = 0.0,
@@ -72,8 +76,8 @@ def make_oracle(
     """The synthesised teacher (Alg. 4) of a task.
 
     Args:
-        env_name: "cartpole" or "pendulum".
-        expert_name: whose actions it aims at: "gpc", or "lqr" (cart-pole), "energy" (pendulum).
+        env_name: "cartpole", "pendulum" or "lunarlander".
+        expert_name: whose actions it aims at, of `gpcjax.envs.registry.expert_names(env_name)`; the first by default.
         rate: gamma, its chance of advice at a step and action dimension; the least chance if `active_gain` is given.
         error: e, the chance that an advice has the wrong sign.
         delta: it is silent this near to its target, in units of the action.
@@ -82,7 +86,7 @@ def make_oracle(
     Raises:
         ValueError: an unknown name, or a number out of range.
     """
-    expert = make_expert(env_name, expert_name)
+    expert = make_expert(env_name, expert_name or expert_names(env_name)[0])
     probability = Numbers(0, 1)
     for name, value, allowed in (
         ("rate", rate, probability),

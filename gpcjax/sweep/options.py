@@ -6,15 +6,14 @@ tuple without repeats where a list is possible), or raise a `UserError` that beg
 
 import numbers
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from gpcjax.allowed import NON_NEGATIVE, Allowed, Anything, Numbers, OneOf, suggestion
-from gpcjax.envs.registry import default_episodes, env_names, expert_names
+from gpcjax.envs.registry import default_episodes, default_max_capacity, env_names, expert_names
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS, ON_FULL
-from gpcjax.learners.presets import SIZES
 
 LARGEST = 1_000_000
 """Bound on seeds, episodes and the cells of one sweep: what is more is a slip of the finger."""
@@ -22,7 +21,10 @@ LARGEST = 1_000_000
 
 @dataclass(frozen=True)
 class Option:
-    """One setting: `kind` is the type of one value; `many` says that a list of values makes more cells."""
+    """One setting: `kind` is the type of one value.
+
+    `many` says that a list of values makes more cells; `series`, that the list is one value, in its order.
+    """
 
     name: str
     kind: type
@@ -30,6 +32,7 @@ class Option:
     text: str
     default: Any = None
     many: bool = False
+    series: bool = False
     algorithms: tuple[str, ...] = ALGORITHMS
     otherwise: str = ""
     """What holds if nobody gives a value, where that is not one `default`."""
@@ -45,22 +48,48 @@ _PROBABILITY = Numbers(0, 1)
 _COUNT = Numbers(1, LARGEST, whole=True)
 _CAPACITY = Numbers(1, 16384, whole=True)
 _ORACLES = tuple(dict.fromkeys(expert for env in env_names() for expert in expert_names(env)))
-_EPISODES = ", ".join(f"{default_episodes(env)} for {env}" for env in env_names())
+
+
+def _by_env(default: Callable[[str], object]) -> str:
+    return ", ".join(f"{default(env)} for {env}" for env in env_names())
+
 
 EXPERIMENT = (
     Option("env", str, OneOf(env_names()), "the task"),
     Option("algo", str, OneOf(ALGORITHMS), "who learns", ALGORITHMS, many=True),
     Option("error", float, _PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
     Option("seeds", int, _COUNT, "how many: seeds 0 to n-1 of everything", 100),
-    Option("episodes", int, _COUNT, "episodes of each run", otherwise=_EPISODES),
-    Option("oracle", str, OneOf(_ORACLES), "whose actions the teacher aims at", ("gpc",), many=True),
+    Option("episodes", int, _COUNT, "episodes of each run", otherwise=_by_env(default_episodes)),
+    Option(
+        "oracle",
+        str,
+        OneOf(_ORACLES),
+        "whose actions the teacher aims at",
+        many=True,
+        otherwise=_by_env(lambda env: expert_names(env)[0]),
+    ),
     Option("delta", float, NON_NEGATIVE, "the teacher is silent this near to its target", (0.05,), many=True),
     Option("rate", float, _PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
+    Option(
+        "rate_schedule",
+        float,
+        _PROBABILITY,
+        "that chance in each episode, in place of rate",
+        series=True,
+        otherwise="rate",
+    ),
 )
 VARIANTS = (
     Option("sparsify", bool, Anything("true or false"), "SPARS (Alg. 3)", True, algorithms=_GP),
     Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error", algorithms=_GP),
-    Option("max_capacity", int, _CAPACITY, "points in a dictionary at most", 1024, algorithms=_GP),
+    Option(
+        "max_capacity",
+        int,
+        _CAPACITY,
+        "points in a dictionary at most",
+        algorithms=_GP,
+        otherwise=_by_env(default_max_capacity),
+    ),
 )
 TUNING = tuple(
     Option(row.name, float, row.allowed, f"{row.symbol}, {row.text}", many=True, algorithms=row.algorithms)
@@ -69,13 +98,19 @@ TUNING = tuple(
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),
     Option("jobs", int, Numbers(1, 1024, whole=True), "processes at once", otherwise="one for each core"),
+    Option(
+        "rate_from",
+        str,
+        Anything("the path of a run folder"),
+        "takes rate_schedule from the chances that another sweep's teacher offered",
+    ),
 )
 OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VARIANTS + TUNING + RUNNING}
 
 
 def parse(option: Option, text: str, where: str) -> Any:
     """The checked value of a flag's `text`, a comma list where the option takes many."""
-    words = [word.strip() for word in text.split(",")] if option.many else [text]
+    words = [word.strip() for word in text.split(",")] if option.many or option.series else [text]
     if "" in words:
         raise UserError(f"{where} {shown(text)}: an empty value, give {option.allowed}")
     return _checked(option, [_from_word(option, word, where) for word in words], where)
@@ -87,7 +122,8 @@ def accept(option: Option, value: Any, where: str) -> Any:
         value = os.fspath(value)
     if option.kind is str and isinstance(value, str):
         return parse(option, value, where)
-    if not option.many or isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+    lists = option.many or option.series
+    if not lists or isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         return _checked(option, [value], where)
     values = list(value)
     if not values:
@@ -117,6 +153,8 @@ def _checked(option: Option, values: list[Any], where: str) -> Any:
         if converted is None or not option.allowed.admits(converted):
             _refuse(option, value, where)
         checked.append(converted)
+    if option.series:
+        return tuple(checked)
     return tuple(dict.fromkeys(checked)) if option.many else checked[0]
 
 
@@ -133,5 +171,4 @@ def _converted(kind: type, value: Any) -> Any:
 
 def _refuse(option: Option, value: Any, where: str) -> NoReturn:
     choices = option.allowed.choices if isinstance(option.allowed, OneOf) and option.kind is str else ()
-    reason = "it cannot be swept yet, " if option.name == "env" and value in tuple(SIZES) else ""
-    raise UserError(f"{where} {shown(value)}: {reason}give {option.allowed}{suggestion(value, choices)}")
+    raise UserError(f"{where} {shown(value)}: give {option.allowed}{suggestion(value, choices)}")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import HYPERPARAMETERS
-from gpcjax.sweep.options import LARGEST
+from gpcjax.sweep.options import LARGEST, OPTIONS
 from gpcjax.sweep.spec import SweepSpec, as_dict
 
 
@@ -25,6 +25,7 @@ class Cell:
     error: float
     delta: float
     rate: float
+    rate_schedule: tuple[float, ...]
     seed: int
     episodes: int
     hyperparameters: tuple[tuple[str, float], ...]
@@ -47,6 +48,7 @@ class Program(NamedTuple):
     policy_nu: float | None
     static_rate: bool
     active: bool
+    scheduled: bool
 
 
 def program_of(cell: Cell) -> Program:
@@ -63,6 +65,7 @@ def program_of(cell: Cell) -> Program:
         policy_nu=values.get("policy_nu"),
         static_rate="static_rate" in values,
         active=values.get("active_gain", 0.0) > 0.0,
+        scheduled=bool(cell.rate_schedule),
     )
 
 
@@ -81,6 +84,7 @@ def plan(spec: SweepSpec) -> list[Cell]:
             error=error,
             delta=delta,
             rate=rate,
+            rate_schedule=spec.rate_schedule,
             seed=seed,
             episodes=spec.episodes,
             hyperparameters=point,
@@ -126,9 +130,12 @@ def default_out(spec: SweepSpec) -> Path:
 
 
 def canonical(value: object) -> object:
-    """JSON values with their lists sorted and without repeats."""
+    """JSON values with their lists sorted and without repeats, but for a series, whose order is its meaning."""
     if isinstance(value, Mapping):
-        return {name: canonical(inner) for name, inner in value.items()}
+        return {
+            name: inner if name in OPTIONS and OPTIONS[name].series else canonical(inner)
+            for name, inner in value.items()
+        }
     return sorted({json.dumps(item) for item in value}) if isinstance(value, list) else value
 
 

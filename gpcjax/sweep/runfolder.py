@@ -9,7 +9,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.plan import canonical, specification_hash
 from gpcjax.sweep.spec import SweepSpec, as_dict
 
-FORMAT = 1
+FORMAT = 2
 """Version of the run folder's layout, kept in the manifest."""
 
 MANIFEST = "manifest.json"

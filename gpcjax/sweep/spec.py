@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.allowed import suggestion
-from gpcjax.envs.registry import default_episodes, expert_names
+from gpcjax.envs.registry import default_episodes, default_max_capacity, expert_names
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
 from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, accept, shown
@@ -32,6 +32,8 @@ class SweepSpec:
     """Distances from the target within which the teacher is silent, in units of the action."""
     rate: tuple[float, ...]
     """Chances of advice at a step and action dimension."""
+    rate_schedule: tuple[float, ...]
+    """That chance in each episode (the last one from then on) in place of `rate`; empty if there is none."""
     sparsify: bool
     """SPARS (Alg. 3) on or off."""
     on_full: str
@@ -49,8 +51,12 @@ class Given(NamedTuple):
     where: str
 
 
-def read_toml(path: Path) -> dict[str, Given]:
-    """The settings of a TOML file, each checked alone.
+QUICK = "quick"
+"""A table of settings in a TOML file that make its sweep a small one, used where that is asked for."""
+
+
+def read_toml(path: Path, quick: bool = False) -> dict[str, Given]:
+    """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
 
     Raises:
         UserError: the file is missing, is not TOML, or has a key or value that is not allowed.
@@ -64,7 +70,11 @@ def read_toml(path: Path) -> dict[str, Given]:
         raise UserError(f"{path}: this is not TOML: {error}") from None
     except ValueError as error:  # the path has a null byte, or the file is not UTF-8
         raise UserError(f"{path}: this is not a text file in UTF-8: {error}") from None
-    return _accepted(table, f"{path}: ")
+    small = table.pop(QUICK, {})
+    if not isinstance(small, dict):
+        raise UserError(f"{path}: {QUICK} is no table: begin one with a line [{QUICK}]")
+    given, fewer = _accepted(table, f"{path}: "), _accepted(small, f"{path}: [{QUICK}] ")
+    return given | fewer if quick else given
 
 
 def spec_of(**settings: Any) -> SweepSpec:
@@ -79,7 +89,7 @@ def spec_of(**settings: Any) -> SweepSpec:
 def make_spec(given: Mapping[str, Given]) -> SweepSpec:
     """The specification of settings: defaults filled in, and all that must fit together does.
 
-    `out` and `jobs` may be among the settings; they are no part of it.
+    `out`, `jobs` and `rate_from` may be among the settings; they are no part of it.
 
     Raises:
         UserError: no env, an oracle that the env has not, or a setting that would change nothing.
@@ -100,8 +110,17 @@ def make_spec(given: Mapping[str, Given]) -> SweepSpec:
     if "static_rate" in given and "constant_rate" in given:
         where = given["constant_rate"].where
         raise UserError(f"{where}: beside static_rate it changes nothing, give one of the two")
-    settings = {option.name: value.get(option.name, option.default) for option in EXPERIMENT + VARIANTS}
-    settings["episodes"] = value.get("episodes", default_episodes(env))
+    if "rate_schedule" in given and "rate" in given:
+        raise UserError(
+            f"{given['rate'].where}: beside rate_schedule it changes nothing, give one of the two"
+        )
+    defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
+        "episodes": default_episodes(env),
+        "oracle": expert_names(env)[:1],
+        "max_capacity": default_max_capacity(env),
+        "rate_schedule": (),
+    }
+    settings = {name: value.get(name, default) for name, default in defaults.items()}
     settings["hyperparameters"] = {name: value[name] for name in HYPERPARAMETERS if name in value}
     return SweepSpec(**settings)
 

@@ -92,13 +92,15 @@ class Store:
         corrections = joined["corrections"]
         coach = np.repeat([row.cell.algo == "coach" for row in rows], [len(row.episode) for row in rows])
         none = np.zeros(len(coach), bool)
-        rate = np.divide(joined["rate_sum"], corrections, out=np.zeros(len(coach)), where=corrections > 0)
+        asked = joined["asked"]
         columns = {
             "episode": pa.array(np.concatenate([row.episode for row in rows]).astype(np.int32)),
             "return": pa.array(joined["returns"]),
             "length": _integers(joined["length"], none),
             "corrections": _integers(corrections, none),
-            "mean_rate": pa.array(rate, mask=corrections == 0),
+            "mean_rate": _mean(joined["rate_sum"], corrections),
+            "asked": _integers(asked, none),
+            "chance": _mean(joined["chance_sum"], asked),
             "policy_points": _integers(joined["policy_points"], coach),
             "human_points": _integers(joined["human_points"], coach),
             "clipped": _integers(joined["clipped"], none),
@@ -181,6 +183,10 @@ def _read(folder: Path, order: list[str]) -> pd.DataFrame:
 def _setting(cell: Cell, name: str) -> float | None:
     """The value of a varying column, None where it does not concern the cell's learner."""
     return getattr(cell, name) if name in ("delta", "rate") else dict(cell.hyperparameters).get(name)
+
+
+def _mean(sums: np.ndarray, counts: np.ndarray) -> pa.Array:
+    return pa.array(sums / np.maximum(counts, 1), mask=counts == 0)
 
 
 def _integers(values: np.ndarray, mask: np.ndarray) -> pa.Array:

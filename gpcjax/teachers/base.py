@@ -3,7 +3,7 @@
 import abc
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 import gpcjax._x64  # noqa: F401
 
@@ -18,6 +18,14 @@ class Teacher(eqx.Module):
 
     active: eqx.AbstractVar[bool]
     """Whether the advice depends on the learner's uncertainty. Static."""
+
+    @abc.abstractmethod
+    def during(self, episode: Int[Array, "*lanes"]) -> "Teacher":
+        """The teacher as it is in one episode (an index from 0); the methods below are asked of that one."""
+
+    @abc.abstractmethod
+    def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Gamma, the chance of advice where sigma_h is this. It may have an axis before those of the lanes."""
 
     @abc.abstractmethod
     def may_advise(

@@ -1,11 +1,12 @@
 """The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, Real
 
 from gpcjax.policies.base import ByIdentity
 from gpcjax.teachers.base import Teacher
@@ -23,6 +24,7 @@ class Oracle(Teacher):
         delta: no advice where the action is within this of the target.
         active_gain: c_a of (3.6): the chance grows by c_a * sigma_h.
         active: whether the chance depends on sigma_h at all. Static.
+        schedule: gamma of each episode in place of `rate`, the last one for all that follow; or None.
     """
 
     rate: Float[Array, "*lanes"]
@@ -30,9 +32,17 @@ class Oracle(Teacher):
     delta: Float[Array, "*lanes"]
     active_gain: Float[Array, "*lanes"]
     active: bool = eqx.field(static=True)
+    schedule: Float[Array, "episodes *lanes"] | None = None
+
+    def during(self, episode: Int[Array, "*lanes"]) -> "Oracle":
+        if self.schedule is None:
+            return self
+        index = jnp.minimum(episode, self.schedule.shape[0] - 1)
+        rate = jnp.take_along_axis(self.schedule, index[None], axis=0)[0]
+        return dataclasses.replace(self, rate=rate, schedule=None)
 
     def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Gamma = c_a * sigma_h + gamma_c, at most 1. `sigma_human` may have an axis before those of the lanes."""
+        """Gamma = c_a * sigma_h + gamma_c (section 4.1.3), at most 1."""
         rate, gain = (jnp.broadcast_to(value, sigma_human.shape) for value in (self.rate, self.active_gain))
         return jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
 

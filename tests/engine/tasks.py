@@ -162,6 +162,8 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
         "human_points",
         "clipped",
         "full",
+        "asked",
+        "chance_sum",
     )
     rows = {name: np.zeros(episodes) for name in names}
     log: dict[str, list] = {"where": [], "values": [], "outcome": []}
@@ -170,9 +172,11 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
         at = reset(env, streams.start_key(seed, episode))
         while not at.done and status == Status.OK:
             step = int(at.time)
-            action, clipped, h = propose(
+            action, clipped, h, asked, chance = propose(
                 learner, teacher, state, at.obs, streams.coins(seed, episode, step, learner.action_size)
             )
+            rows["asked"][episode] += bool(asked)
+            rows["chance_sum"][episode] += float(chance) if asked else 0.0
             if np.any(h != 0):
                 state, info = learner.correct(state, at.obs, action, h)
                 status = Status(int(info.status))
@@ -220,4 +224,5 @@ def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, coins: Ar
     gap = expert(obs) - action
     sign = jnp.sign(gap) * (jnp.abs(gap) > teacher.delta)
     h = jnp.where(coins < chance, sign, 0.0) * jnp.where(coins < chance * teacher.error, -1.0, 1.0)
-    return action, (jnp.abs(proposed) > 1.0).any(), h
+    asked = (coins < jnp.minimum(teacher.active_gain * learner.largest_sigma() + teacher.rate, 1.0)).any()
+    return action, (jnp.abs(proposed) > 1.0).any(), h, asked, chance.mean()

@@ -83,7 +83,7 @@ def test_bytes_of_a_lane(used):
     """A lane is little more than its two factors."""
     for block in used._blocks:
         tier = block.tier
-        held = sum(leaf.nbytes for leaf in jax.tree.leaves(block._lanes)) / tier.lanes
+        held = sum(leaf.nbytes for leaf in jax.tree.leaves(block.lanes)) / tier.lanes
         factors = 8 * (tier.policy_capacity**2 + tier.human_capacity**2)
         vectors = 8 * (tier.policy_capacity * 12 + tier.human_capacity * 8)
         log = 200 * (3 * 4 + 3 * 8 + 3)

@@ -105,16 +105,25 @@ class Always(Oracle):
         return jnp.ones_like(coins, bool)
 
 
+def counted(lane):
+    """The rows but for what thinning leaves out."""
+    return {name: rows for name, rows in vars(lane.rows).items() if name not in ("asked", "chance_sum")}
+
+
 def test_active_learning():
     """Thinning changes nothing, to the bit; and a plain loop, which knows nothing of it, agrees."""
-    lanes, tier = [], Tier(64, 64, 8)
-    for kind in (Oracle, Always):
-        teacher = oracle(kind, rate=0.02, delta=0.0, error=0.1, active_gain=6.0)
+    tier, teaching = Tier(64, 64, 8), {"rate": 0.02, "delta": 0.0, "error": 0.1, "active_gain": 6.0}
+    teachers, lanes = [oracle(kind, **teaching) for kind in (Oracle, Always)], []
+    for teacher in teachers:
         each = start("active", learner("gpc", capacity=64), teacher, 1)
         lanes.append(run(make_pool(RECORDED, each, (tier,)), [each])["active"])
-    thinned, always = ({**kept(lane), "teacher": None} for lane in lanes)
+    thinned, always = ({**kept(lane), "teacher": None, "rows": counted(lane)} for lane in lanes)
     assert_same_bits(thinned, always)
-    agrees(lanes[0], plain(RECORDED, each, tier))
+    agrees(lanes[0], plain(RECORDED, dataclasses.replace(each, teacher=teachers[0]), tier))
+    # The chances that thinning met are a fair sample of those of all steps.
+    met, every = (lane.rows.chance_sum.sum() / lane.rows.asked.sum() for lane in lanes)
+    assert lanes[0].rows.asked.sum() < 0.8 * lanes[1].rows.asked.sum() == 0.8 * lanes[1].rows.length.sum()
+    np.testing.assert_allclose(met, every, rtol=0.1)
     # Both bounds of the chance are far: it follows sigma_h, and some that thinning let pass were refused.
     rate = lanes[0].rows.corrections.sum() / (2 * lanes[0].rows.length.sum())
     largest = 0.02 + 6.0 * lanes[0].learner.largest_sigma()

@@ -10,7 +10,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import GaussianProcess, Posterior, normalising_scale
+from gpcjax.gp.regression import GaussianProcess, Posterior, normalising_scale, small, take, write
 from tests.trees import assert_close, assert_same_bits
 
 CAPACITY = 16
@@ -30,20 +30,33 @@ def empty(process: GaussianProcess, capacity: int = CAPACITY) -> Posterior:
 
 
 @jax.jit
-def _put(process, posterior, point, target, index, write):
-    return process.put(posterior, point, target, index, write)
+def _put(process, posteriors, where, point, target, index, given):
+    covariances = process.covariances(small(posteriors, where), point)
+    whitened = process.whiten(posteriors, where, covariances)
+    change = process.put(posteriors, where, whitened, point, target, index, given)
+    return write(posteriors, where, change)
 
 
-def put(process, posterior, point, target, index, write=True) -> Posterior:
+def put(process, posteriors, point, target, index, given=True, where=()) -> Posterior:
     return _put(
-        process, posterior, jnp.asarray(point), jnp.asarray(target), jnp.asarray(index), jnp.asarray(write)
+        process, posteriors, where, *map(jnp.asarray, (point, target)), jnp.int32(index), jnp.asarray(given)
     )
 
 
 @jax.jit
+def _append(process, posteriors, where, point, target, given):
+    deviation, appended = process.append(posteriors, where, point, target)
+    return deviation, write(posteriors, where, appended.only(given))
+
+
+def append(process, posteriors, point, target, given=True, where=()) -> tuple[jax.Array, Posterior]:
+    return _append(process, posteriors, where, *map(jnp.asarray, (point, target, given)))
+
+
+@jax.jit
 def _predict(process, posterior, point):
-    covariances = process.covariances(posterior, point)
-    return (covariances * posterior.weights).sum(), process.deviation(posterior, covariances)
+    mean = (process.covariances(posterior, point) * posterior.weights).sum()
+    return mean, process.uncertainty(posterior, point)
 
 
 def predict(process, posterior, probes):
@@ -160,7 +173,7 @@ def test_without_write_nothing_changes_to_the_bit(normalise):
     posterior = Posterior(**(vars(posterior) | {"weights": posterior.weights * (1 + 1e-9)}))
     for point in (np.zeros(3), np.full(3, np.nan), np.full(3, np.inf)):
         for index in (0, 9):
-            assert_same_bits(put(process, posterior, point, np.nan, index, write=False), posterior)
+            assert_same_bits(put(process, posterior, point, np.nan, index, given=False), posterior)
 
 
 @each_scaling
@@ -173,8 +186,72 @@ def test_a_model_without_weights_has_the_same_deviations(normalise):
     np.testing.assert_allclose(deviations, predict(full, filled(full, 10), probes)[1], atol=1e-12)
 
 
-def test_a_model_that_only_appends_is_the_same_while_it_appends():
-    assert_close(filled(make(False, replaces=False), 12), filled(make(False), 12), 1e-12)
+@pytest.mark.parametrize("capacity", [CAPACITY, 70])
+def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
+    """And tells beforehand how uncertain it was; a point that is not given leaves it as it is, be it full or not."""
+    process, rng = (
+        make(False, SQUARED_EXPONENTIAL, keeps_weights=False, replaces=False),
+        np.random.default_rng(7),
+    )
+    expected = posterior = empty(process, capacity)
+    for index in range(capacity):
+        point, target = rng.normal(size=3), rng.normal()
+        deviation, posterior = append(process, posterior, point, target)
+        np.testing.assert_allclose(deviation, _predict(process, expected, jnp.asarray(point))[1], rtol=1e-9)
+        expected = put(process, expected, point, target, index)
+        assert_same_bits(append(process, posterior, np.full(3, np.nan), 1.0, given=False)[1], posterior)
+    assert_close(posterior, expected, 1e-9)
+
+
+@each_scaling
+@pytest.mark.parametrize("capacity", [33, 100, 300])
+def test_across_the_borders_of_blocks(normalise, capacity):
+    """Scikit-learn again, with full dictionaries whose capacity is no multiple of what is read at once."""
+    process, rng = make(normalise), np.random.default_rng(capacity)
+    posterior, points, targets = empty(process, capacity), np.zeros((capacity, 3)), np.zeros(capacity)
+    for step in range(capacity + 12):
+        index = (
+            step if step < capacity else (capacity - 1, 0, *rng.integers(capacity, size=10))[step - capacity]
+        )
+        points[index], targets[index] = rng.normal(size=3), rng.normal()
+        posterior = put(process, posterior, points[index], targets[index], index)
+        if step in (30, 31, 32, 33, 95, 96, 255, 256, 257, capacity - 1, capacity, capacity + 11):
+            count = min(step + 1, capacity)
+            probes = np.vstack([points[count - 1], points[0] + 0.1, np.zeros(3)])
+            mean, deviation = predict(process, posterior, probes)
+            fitted = sklearn(process, points[:count], targets[:count]).predict(probes, return_std=True)
+            np.testing.assert_allclose(mean, fitted[0], atol=1e-8)
+            np.testing.assert_allclose(deviation, np.maximum(fitted[1], np.sqrt(NOISE)), atol=1e-8)
+            np.testing.assert_array_equal(posterior.points[:count], points[:count])
+
+
+@each_scaling
+@pytest.mark.parametrize("where", [(1,), (2, 0)])
+def test_one_of_many_places_touches_no_other(normalise, where):
+    """Put or appended; the others are not even numbers."""
+    process, place = make(normalise), tuple(map(jnp.asarray, where))
+    lean, point = make(normalise, keeps_weights=False, replaces=False), np.array([0.3, 0.1, -0.2])
+    posterior = filled(process, 9)
+
+    def many(leaf):
+        blank = jnp.full((3, 2)[: len(where)] + leaf.shape, np.nan if leaf.dtype == float else 5, leaf.dtype)
+        return blank.at[where].set(leaf)
+
+    posteriors = jax.tree.map(many, posterior)
+    assert_same_bits(take(posteriors, place), posterior)
+    for index in (0, 8, 9):
+        after = put(process, posteriors, point, 0.5, index, where=place)
+        # The factors are badly conditioned, so their entries agree less well than what they predict.
+        assert_close(take(after, place), put(process, posterior, point, 0.5, index), 1e-6)
+        assert after.count[where] == max(index + 1, 9)
+        assert_same_bits(write(after, place, posterior), posteriors)
+        assert_same_bits(put(process, posteriors, point, 0.5, index, given=False, where=place), posteriors)
+    if not normalise:
+        deviation, after = append(lean, posteriors, point, 0.5, where=place)
+        np.testing.assert_allclose(deviation, lean.uncertainty(posterior, jnp.asarray(point)), rtol=1e-12)
+        assert_close(take(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
+        assert_same_bits(write(after, place, posterior), posteriors)
+        assert_same_bits(append(lean, posteriors, point, 0.5, given=False, where=place)[1], posteriors)
 
 
 @each_scaling
@@ -184,11 +261,11 @@ def test_a_batch_is_its_members(normalise):
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
     rng = np.random.default_rng(4)
     points, targets = jnp.asarray(rng.normal(size=(4, 3))), jnp.asarray(rng.normal(size=4))
-    index, write = jnp.asarray([0, 1, 8, 15]), jnp.asarray([True, True, False, True])
-    put_all = jax.jit(jax.vmap(lambda *arguments: process.put(*arguments)))
-    together = put_all(stacked, points, targets, index, write)
+    index, given = jnp.int32([0, 1, 8, 15]), jnp.asarray([True, True, False, True])
+    put_all = jax.vmap(lambda posterior, *rest: _put(process, posterior, (), *rest))
+    together = put_all(stacked, points, targets, index, given)
     for i, lane in enumerate(lanes):
-        alone = put(process, lane, points[i], targets[i], index[i], write[i])
+        alone = put(process, lane, points[i], targets[i], index[i], given[i])
         # The factors are badly conditioned, so their entries agree less well than what they predict.
         assert_close(jax.tree.map(lambda leaf, i=i: leaf[i], together), alone, 1e-6)
         member = jax.tree.map(lambda leaf, i=i: leaf[i], together)

@@ -1,0 +1,148 @@
+"""The same teaching for tasks that are simulated on the host: one compiled tick, then a step of every simulation.
+
+A tick takes in what the last step of each lane brought, ends the episodes that are over, and chooses the next actions,
+with the advice and the corrections that this meets. A simulation goes with its lane from block to block.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from gpcjax.engine import streams, teaching
+from gpcjax.engine.lanes import Lane, Phase, fresh
+from gpcjax.engine.teaching import Expert
+from gpcjax.envs.base import State, begin
+from gpcjax.envs.host import HostEnv
+from gpcjax.learners.base import Learner
+from gpcjax.teachers.base import Teacher
+
+_FLAGS = np.bool_(False), np.bool_(True)
+
+
+class News:
+    """What the last step of each lane brought: views of one array, which crosses to the compiled tick as a whole.
+
+    | Field        | Shape        | Meaning                                                      |
+    |--------------|--------------|--------------------------------------------------------------|
+    | `obs`        | (obs, lanes) | after the step                                               |
+    | `start`      | (obs, lanes) | first observation of the next episode, where this one ended  |
+    | `reward`     | (lanes,)     | of the step                                                  |
+    | `terminated`, `truncated` | (lanes,) | 0 or 1                                              |
+    | `stepped`    | (lanes,)     | 0 where there was no step, and nothing else counts           |
+    """
+
+    def __init__(self, array: Any, obs_size: int):
+        self.array = array
+        self.obs, self.start = array[:obs_size], array[obs_size : 2 * obs_size]
+        self.reward, self.terminated, self.truncated, self.stepped = (
+            array[2 * obs_size + row] for row in range(4)
+        )
+
+    @classmethod
+    def none(cls, obs_size: int, lanes: int) -> "News":
+        """No lane has stepped."""
+        return cls(np.zeros((2 * obs_size + 4, lanes)), obs_size)
+
+
+class Run:
+    """The simulation of one lane, which is one episode ahead of it where an episode has just ended."""
+
+    def __init__(self, env: HostEnv, seed: int, episodes: int):
+        self._simulation, self._episode = env.simulate(), 0
+        self._seeds = streams.reset_seeds(seed, episodes)
+        self.obs = self._simulation.reset(self._seeds[0])
+
+    def step(self, place: int, action: Float[np.ndarray, " action"], news: News) -> None:
+        """One step, written into the news of the lane at `place`; a new episode if this one is over."""
+        outcome = self._simulation.step(action)
+        news.obs[:, place], news.reward[place] = outcome.obs, outcome.reward
+        news.terminated[place], news.truncated[place] = outcome.terminated, outcome.truncated
+        if outcome.terminated or outcome.truncated:
+            self._episode += 1
+            if self._episode < len(self._seeds):
+                news.start[:, place] = self._simulation.reset(self._seeds[self._episode])
+
+
+class HostLoop(eqx.Module):
+    """What all lanes of a block share: see `gpcjax.engine.rollout.Loop`."""
+
+    env: HostEnv = eqx.field(static=True)
+    expert: Expert
+    episodes: int = eqx.field(static=True)
+    grows: bool = eqx.field(static=True, default=True)
+
+    def enter(self, learner: Learner, teacher: Teacher, seed: int) -> tuple[Run, tuple[Any, ...]]:
+        """The simulation of a run that begins, and what `begin` takes."""
+        run = Run(self.env, seed, self.episodes)
+        return run, (learner, teacher, np.int64(seed), run.obs)
+
+    def begin(self, learner: Learner, teacher: Teacher, seed: Any, obs: Any) -> Lane:
+        """A lane at its first episode."""
+        return fresh(begin((), obs), learner, teacher, seed, self.episodes)
+
+    def drive(
+        self, call: Callable[..., tuple[Any, ...]], runs: Mapping[int, Run], lanes: int, rounds: int
+    ) -> None:
+        """Up to `rounds` ticks and steps, fewer if no lane is running any more; the last step is always taken in."""
+        news = News.none(self.env.obs_size, lanes)
+        for last in [*[False] * rounds, True]:
+            (choice,) = call("tick", lambda *arguments: self.tick(*arguments), news.array, _FLAGS[last])
+            chosen = np.asarray(choice)
+            news.stepped[:] = chosen[-1]
+            places = np.flatnonzero(news.stepped).tolist()
+            if not places:
+                return
+            for place in places:
+                runs[place].step(place, chosen[:-1, place], news)
+
+    def tick(
+        self, block: Lane, news: Float[Array, "rows lanes"], last: Bool[Array, ""]
+    ) -> tuple[Lane, Float[Array, "choice lanes"]]:
+        """Takes in the news and chooses: the actions, and as a last row 1 for the lanes that go on with them.
+
+        The `last` tick before the host looks at the lanes takes in the news alone.
+        """
+        told = News(news, self.env.obs_size)
+        block = self._take_in(block, told)
+        block = teaching.end_episodes(
+            block, self.episodes, lambda block, _: jax.vmap(_begin, in_axes=-1, out_axes=-1)(told.start)
+        )
+        running = (block.phase == Phase.RUNNING) & ~last
+        proposed = block.controller(block.env.obs)
+        may = jax.vmap(_may_advise, in_axes=(-1, 0, -1, -1))(
+            block.teacher, block.learner, block.episode, teaching.block_coins(block)
+        )
+        block = dataclasses.replace(block, waiting=running & may, action=jnp.clip(proposed, -1.0, 1.0))
+        block, advice = teaching.ask(block, self.expert, self.grows)
+        block = teaching.correct(block, advice)
+        going = running & (block.phase != Phase.NEEDS_ROOM)
+        tally = teaching.count_clipped(block.tally, proposed, going)
+        block = dataclasses.replace(block, tally=tally, waiting=block.waiting & ~going)
+        return block, jnp.concatenate([block.action, going[None].astype(block.action.dtype)])
+
+    def _take_in(self, block: Lane, news: News) -> Lane:
+        env, stepped = block.env, news.stepped != 0
+        after = State(
+            physics=env.physics,
+            obs=jnp.where(stepped, news.obs, env.obs),
+            reward=jnp.where(stepped, news.reward, env.reward),
+            terminated=stepped & (news.terminated != 0),
+            truncated=stepped & (news.truncated != 0),
+            time=env.time + stepped,
+        )
+        returns = block.tally.returns + jnp.where(stepped, news.reward, 0.0)
+        return dataclasses.replace(block, env=after, tally=dataclasses.replace(block.tally, returns=returns))
+
+
+def _begin(obs: Float[Array, " obs"]) -> State:
+    return begin((), obs)
+
+
+def _may_advise(teacher: Teacher, learner: Learner, episode: Array, coins: Array) -> Bool[Array, ""]:
+    return teacher.during(episode).may_advise(coins, learner.largest_sigma()).any()

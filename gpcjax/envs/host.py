@@ -1,0 +1,113 @@
+"""Tasks that gymnasium simulates on the host, one object an episode, beside those that are compiled."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Outcome(NamedTuple):
+    """What one step of a simulation brought."""
+
+    obs: Float[np.ndarray, " obs"]
+    reward: float
+    terminated: bool
+    """The task itself ended."""
+    truncated: bool
+    """`max_steps` were taken."""
+
+
+@dataclass(frozen=True)
+class HostEnv:
+    """A task of gymnasium with continuous actions; `simulate` gives as many independent simulations as are wanted.
+
+    Gymnasium's wrappers are left out: the time limit is ours, and their checks cost as much as the physics do.
+
+    | Field       | Meaning                                                             |
+    |-------------|---------------------------------------------------------------------|
+    | `name`      | under which results of this task are kept                           |
+    | `gym_id`    | of gymnasium                                                        |
+    | `max_steps` | of an episode                                                       |
+    | `options`   | keyword arguments of `gymnasium.make`                               |
+
+    Raises:
+        ValueError: gymnasium does not know the task, a part of it is not installed, its observations are no vector, or
+            its actions are not bounded numbers.
+    """
+
+    name: str
+    gym_id: str
+    max_steps: int
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    obs_size: int = field(init=False)
+    action_size: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.max_steps < 1:
+            raise ValueError(f"{self.name}: max_steps must be at least 1, got {self.max_steps}")
+        env = self._make()
+        observations, actions = env.observation_space.shape, getattr(env.action_space, "high", None)
+        if observations is None or len(observations) != 1:
+            raise ValueError(f"{self.name}: observations of shape {observations}, a vector is needed")
+        if actions is None or actions.ndim != 1 or not np.isfinite([actions, env.action_space.low]).all():
+            raise ValueError(
+                f"{self.name}: actions are {env.action_space}, a bounded Box of one axis is needed"
+            )
+        object.__setattr__(self, "obs_size", int(observations[0]))
+        object.__setattr__(self, "action_size", int(actions.shape[0]))
+
+    def simulate(self) -> "Simulation":
+        """A simulation of its own; `reset` comes first."""
+        return Simulation(self._make(), self.max_steps)
+
+    def _make(self) -> Any:
+        import gymnasium
+
+        try:
+            return gymnasium.make(self.gym_id, disable_env_checker=True, **self.options).unwrapped
+        except gymnasium.error.Error as error:
+            raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
+
+
+class Simulation:
+    """One environment of gymnasium: `reset` begins an episode, `step` advances it.
+
+    What happens follows from the seed and the actions alone, whatever was simulated before.
+    """
+
+    def __init__(self, env: Any, max_steps: int):
+        self._env, self._max_steps, self._time = env, max_steps, 0
+        low, high = (np.asarray(bound, np.float64) for bound in (env.action_space.low, env.action_space.high))
+        self._centre, self._reach = (low + high) / 2, (high - low) / 2
+
+    def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
+        """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
+        self._time = 0
+        return np.asarray(self._env.reset(seed=seed)[0], np.float64)
+
+    def step(self, action: Float[np.ndarray, " action"]) -> Outcome:
+        """One step with `action`, in [-1, 1]: what is beyond is clipped, then scaled to the bounds of the task."""
+        obs, reward, terminated, _, _ = self._env.step(self._centre + self._reach * action.clip(-1.0, 1.0))
+        self._time += 1
+        return Outcome(
+            np.asarray(obs, np.float64), float(reward), bool(terminated), self._time >= self._max_steps
+        )
+
+
+def lunar_lander(max_steps: int = 1000) -> HostEnv:
+    """Gymnasium's LunarLander-v3 with continuous actions (the thesis' domain 3, section 4.2.3).
+
+    | Observation | Meaning                                           | Unit                     |
+    |-------------|---------------------------------------------------|--------------------------|
+    | 0, 1        | position from the pad                             | half a viewport's width, height |
+    | 2, 3        | velocity                                          | scaled likewise          |
+    | 4, 5        | angle, angular velocity                           | rad, rad/s (scaled)      |
+    | 6, 7        | contact of the left and of the right leg          | 0 or 1                   |
+
+    Action 0 is the main engine (off below 0, then from half to full power), action 1 the side engines (off within
+    0.5 of 0).
+    """
+    return HostEnv("lunarlander", "LunarLander-v3", max_steps, MappingProxyType({"continuous": True}))

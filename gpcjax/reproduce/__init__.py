@@ -1,0 +1,1 @@
+"""The thesis' illustrative figures, computed and drawn anew."""

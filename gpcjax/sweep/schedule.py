@@ -1,0 +1,29 @@
+"""What one sweep's teacher offered as chances of advice, for the schedule of another (Table 5.4, iii and iv)."""
+
+from pathlib import Path
+
+from gpcjax.errors import UserError
+from gpcjax.sweep.runfolder import check_report, read_manifest
+
+
+def offered_rates(out: Path) -> tuple[float, ...]:
+    """Mean chance of advice in each episode of a finished sweep: mean over the steps of a run, then over runs.
+
+    Under active learning a run's mean is taken over the steps whose coins allowed advice at all, the steps at which the
+    chance was worked out: a fair sample, since the coins know nothing of the learner.
+
+    Raises:
+        UserError: `out` is no run folder, is not complete, or holds more than one setting.
+    """
+    check_report(out)
+    from gpcjax.sweep.store import IDENTITY, read_episodes
+
+    manifest = read_manifest(out)
+    if not manifest["complete"]:
+        raise UserError(f"{out}: this sweep is not complete, run it to its end first")
+    frame = read_episodes(out)
+    for name in (*IDENTITY[1:-1], *manifest["varying"]):
+        if frame[name].nunique(dropna=False) > 1:
+            raise UserError(f"{out}: its runs differ in {name}, give a sweep of one setting")
+    chances = frame.groupby("episode")["chance"].mean()
+    return tuple(float(chance) for chance in chances.ffill().bfill())
