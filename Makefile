@@ -1,18 +1,20 @@
 # The one task runner. `make help` prints the lines that begin with #: and the texts behind ##.
 #:
 #: Variables, given behind `make`; a comma list makes every combination (make sweep ENV=cartpole ERR=0,0.1):
-#:   ENV       the task: cartpole or pendulum
+#:   ENV       the task: cartpole, pendulum or lunarlander
 #:   ERR       chance that an advice has the wrong sign (0)
 #:   ALGO      gpc, gpc-ns, coach (all three; for a grid gpc)
 #:   SEEDS     n, for seeds 0 to n-1 (100)
-#:   EPISODES  of each run (30 for cartpole, 40 for pendulum)
-#:   ORACLE    whose actions the teacher aims at (gpc)
+#:   EPISODES  of each run (30 for cartpole, 40 for pendulum, 200 for lunarlander)
+#:   ORACLE    whose actions the teacher aims at (gpc; heuristic for lunarlander)
 #:   DELTA     the teacher is silent this near to its target (0.05)
 #:   RATE      chance of advice at a step (0.05)
 #:   LP, LH    length-scales of the policy and of the human model (those of the thesis)
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
+#:   QUICK     1 for a small reproduction
+#:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
 #:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, bench, lock
 #:   PYTHON    what .venv is made with (python3)
 #:
@@ -20,6 +22,8 @@
 PYTHON = python3
 OUT =
 SPEC =
+QUICK =
+ONLY =
 ARGS =
 READY := .venv/.ready
 PIP := .venv/bin/python -m pip --quiet --quiet --disable-pip-version-check
@@ -33,6 +37,7 @@ TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
 TAKES_report := OUT
 TAKES_oracles := ENV
+TAKES_reproduce := QUICK ONLY OUT JOBS
 TAKES_bench := ARGS
 TAKES_test := ARGS
 TAKES_lock := ARGS
@@ -50,8 +55,9 @@ endef
 quoted = '$(subst $(newline), ,$(subst ','\'',$(value $1)))'
 flag = $(if $(filter command,$(origin $(call name,$1))),--$(lastword $(subst :, ,$1))=$(call quoted,$(call name,$1)))
 SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair))) $(value ARGS)
+REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 
-.PHONY: help sweep grid report oracles bench test lint format lock clean
+.PHONY: help sweep grid report reproduce oracles bench test lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -64,6 +70,9 @@ grid: $(READY) ## the same over lists of hyperparameters, with a heatmap
 
 report: $(READY) ## draw a run folder's table and figures again (OUT=)
 	$(GPCJAX) report $(if $(OUT),-- $(call quoted,OUT))
+
+reproduce: $(READY) ## run every experiment of the thesis and report on its claims
+	$(GPCJAX) reproduce $(REPRODUCTION)
 
 oracles: $(READY) ## learn the shipped gpc oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)
@@ -94,6 +103,7 @@ clean: ## remove .venv and all caches, no results
 .PHONY: $(if $(shell test -x .venv/bin/python && echo yes),,$(READY))
 sweep: CHECK = $(PYTHON) -m gpcjax sweep $(SETTINGS) --dry-run
 grid: CHECK = $(PYTHON) -m gpcjax grid $(SETTINGS) --dry-run
+reproduce: CHECK = $(PYTHON) -m gpcjax reproduce $(REPRODUCTION) --dry-run
 NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo '$(NEEDED)' >&2; exit 2; }

@@ -11,6 +11,7 @@ import gpcjax
 from gpcjax import cli_options
 from gpcjax.envs.registry import env_names
 from gpcjax.errors import UserError
+from gpcjax.reproduce.parts import check, chosen, folder
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
@@ -60,6 +61,8 @@ def _run(words: Sequence[str]) -> int:
             return _report(Path(arguments.out))
         case "oracles":
             return _oracles(arguments.env)
+        case "reproduce":
+            return _reproduce(arguments)
     print(f"gpcjax {gpcjax.__version__}")
     return 0
 
@@ -132,6 +135,25 @@ def _oracles(text: str | None) -> int:
     from gpcjax.sweep.executors import run_alone
 
     return run_alone("gpcjax.sweep.oracles", *envs)
+
+
+def _reproduce(arguments: argparse.Namespace) -> int:
+    only, sweeps = chosen(arguments.only), Path(arguments.sweeps)
+    out = Path(os.path.expanduser(arguments.out)) if arguments.out else folder(arguments.quick)
+    jobs = parse(OPTIONS["jobs"], arguments.jobs, "--jobs") if arguments.jobs else usable_cores()
+    runs = check(sweeps, out, only, arguments.quick)
+    if arguments.dry_run:
+        print(f"{', '.join(only)}: {runs} experiments of {sweeps}, in {jobs} processes, into {out}")
+        return 0
+    from gpcjax.reproduce.run import reproduce
+
+    try:
+        print(reproduce(sweeps, out, only, arguments.quick, jobs))
+    except KeyboardInterrupt:
+        return _fail(
+            f"stopped: {out} keeps what is finished, the same command goes on from there", INTERRUPTED
+        )
+    return 0
 
 
 def _fail(message: str, status: int) -> int:

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import gpcjax
 from gpcjax.allowed import Anything, suggestion
 from gpcjax.errors import UserError
+from gpcjax.reproduce.parts import PARTS, folder
 from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, Option, parse, shown
 from gpcjax.sweep.spec import Given
 
@@ -16,6 +17,7 @@ COMMANDS = {
     "grid": "the same over lists of hyperparameters, with a heatmap",
     "report": "draw a run folder's table and figures again",
     "oracles": "learn the shipped `gpc` oracles again",
+    "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "version": "print the version",
 }
 
@@ -55,6 +57,8 @@ def build() -> Parser:
             _add_sweep(command)
         elif name == "report":
             command.add_argument("out", metavar="OUT", help="the run folder")
+        elif name == "reproduce":
+            _add_reproduce(command)
         elif name == "oracles":
             command.add_argument("--env", help=f"{OPTIONS['env'].allowed}, comma list (default: each)")
     return parser
@@ -103,6 +107,15 @@ def _add_sweep(command: Parser) -> None:
                 group.add_argument(option.flag, metavar=_metavar(option), help=_help(option))
 
 
+def _add_reproduce(command: Parser) -> None:
+    command.add_argument("--only", metavar="A,B,...", help=f"parts ({', '.join(PARTS)}; default all)")
+    command.add_argument("--quick", action="store_true", help="few short runs of each experiment")
+    command.add_argument("--out", help=f"folder of all runs and the report (default {folder(quick=False)})")
+    command.add_argument("--sweeps", default="sweeps", help="folder of the TOML files (default sweeps)")
+    command.add_argument("--jobs", metavar="N", help=_help(OPTIONS["jobs"]))
+    command.add_argument("--dry-run", action="store_true", help="check all, run nothing")
+
+
 def _help(option: Option) -> str:
     default = option.otherwise
     if option.default is not None:
@@ -122,7 +135,15 @@ def _metavar(option: Option) -> str:
 
 def _flags(command: str) -> list[str]:
     if command in ("sweep", "grid"):
-        return [*(option.flag for option in OPTIONS.values()), "--no-sparsify", "--quick", "--dry-run", "--help"]
+        return [
+            *(option.flag for option in OPTIONS.values()),
+            "--no-sparsify",
+            "--quick",
+            "--dry-run",
+            "--help",
+        ]
+    if command == "reproduce":
+        return ["--only", "--quick", "--out", "--sweeps", "--jobs", "--dry-run", "--help"]
     return ["--env", "--help"] if command == "oracles" else ["--help"]
 
 

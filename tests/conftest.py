@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 
 import hypothesis
 import jax
@@ -14,6 +15,11 @@ install_import_hook("gpcjax", "tests.typechecker.check")
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# The types of this extension warn while it is loaded, which crashes the process where warnings are errors.
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import Box2D  # noqa: F401
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

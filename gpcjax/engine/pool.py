@@ -71,7 +71,7 @@ proportional to the width from 32 lanes on, and those few that outgrow the other
 
 def tiers(max_capacity: int) -> tuple[Tier, ...]:
     """The tiers up to `max_capacity` points, the last one exactly there."""
-    largest, beyond = TIERS[-1].human_capacity, [Tier(*[TIERS[-1].human_capacity] * 2, 8)]
+    largest, beyond = TIERS[-1].human_capacity, [Tier(TIERS[-1].human_capacity, TIERS[-1].human_capacity, 8)]
     while largest < max_capacity:
         largest *= 2
         beyond.append(Tier(largest, largest, 8))
@@ -140,11 +140,13 @@ class Pool:
         self, env: Env | HostEnv, expert: Expert, episodes: int, template: Start, tiers: Sequence[Tier]
     ):
         self.counters = Counters()
-        loop = HostLoop if isinstance(env, HostEnv) else Loop
-        self._blocks = [
-            _Block(self, tier, loop(env, expert, episodes, grows=tier is not tiers[-1]), template)
-            for tier in tiers
-        ]
+
+        def loop(grows: bool) -> Loop | HostLoop:
+            if isinstance(env, HostEnv):
+                return HostLoop(env, expert, episodes, grows)
+            return Loop(env, expert, episodes, grows)
+
+        self._blocks = [_Block(self, tier, loop(tier is not tiers[-1]), template) for tier in tiers]
 
     def run(
         self,

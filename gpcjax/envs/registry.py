@@ -5,7 +5,7 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -94,6 +94,12 @@ def default_max_capacity(env_name: str) -> int:
     return _entry(env_name).max_capacity
 
 
+@overload
+def make_env(  # pyright: ignore[reportOverlappingOverload]
+    env_name: Literal["lunarlander"], /, **parameters: Any
+) -> "HostEnv": ...
+@overload
+def make_env(env_name: str, /, **parameters: Any) -> "Env": ...
 def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     """Build a task by name, with other physical parameters if given (`make_env("cartpole", pole_mass=0.2)`).
 

@@ -18,8 +18,8 @@ indices of the first axes), and only the rows of its `count` points are touched,
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
@@ -38,7 +38,7 @@ COLUMNS = 256
 """Of a lower triangular root, columns are read up to the next multiple of this."""
 
 
-class Edit(NamedTuple):
+class Edit(eqx.Module):
     """What a new point changes in a root: a rank-one pass takes the old point out, then a row is written."""
 
     index: Int[Array, ""]

@@ -11,12 +11,14 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.regression import Appended, GaussianProcess, Placed, Posterior, small, write
+from gpcjax.gp.regression import Appended, GaussianProcess, Placed, Places, Posterior, small, write
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
@@ -117,20 +119,31 @@ class GPC(Learner):
             human=write(states.human, where, change.human),
         )
 
+    def _human(
+        self, humans: Posterior, where: Places, pair: Float[Array, " pair"], advice: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Callable[[Bool[Array, ""], Bool[Array, ""]], Posterior | Placed | Appended]]:
+        """sigma_h of a pair, and what it changes: a function of whether it is learned, and of whether H is full."""
+        if not (self.human.normalise or self.human.replaces):
+            sigma, appended = self.human.append(humans, where, pair, advice)
+            return sigma, lambda learns, _: appended.only(learns)
+        covariances = self.human.covariances(small(humans, where), pair)
+        whitened = self.human.whiten(humans, where, covariances)
+
+        def learn(learns: Bool[Array, ""], full: Bool[Array, ""]) -> Posterior | Placed:
+            index = humans.count[where]
+            if self.on_full == "replace-nearest":
+                index = jnp.where(full, covariances.argmax(), index)
+            return self.human.put(humans, where, whitened, pair, advice, index, learns)
+
+        return self.human.deviation(whitened), learn
+
     def _correct(self, states, where, obs, action, advice):
         """Alg. 2, lines 7 to 14."""
-        pair, only_appends = _pair(obs, action), not (self.human.normalise or self.human.replaces)
         policy = small(states.policy, where)
-        policy_covariances = self.policy.covariances(policy, obs)
-        policy_whitened = self.policy.whiten(states.policy, where, policy_covariances)
-        sigma_policy = self.policy.deviation(policy_whitened)
-        human_count = states.human.count[where]
-        if only_appends:
-            sigma_human, appended = self.human.append(states.human, where, pair, advice)
-        else:
-            human_covariances = self.human.covariances(small(states.human, where), pair)
-            human_whitened = self.human.whiten(states.human, where, human_covariances)
-            sigma_human = self.human.deviation(human_whitened)
+        covariances = self.policy.covariances(policy, obs)
+        whitened = self.policy.whiten(states.policy, where, covariances)
+        sigma_policy = self.policy.deviation(whitened)
+        sigma_human, learn_human = self._human(states.human, where, _pair(obs, action), advice)
         adaptive = sigma_policy + sigma_human + self.constant_rate  # (3.5)
         rate = adaptive if self.static_rate is None else self.static_rate
         target = action + rate * advice
@@ -139,12 +152,12 @@ class GPC(Learner):
         threshold = 0.5 * jnp.sqrt(self.policy.kernel.variance)
         replaces = (sigma_policy < threshold) & (policy.count > 0) if self.sparsify else jnp.array(False)
         policy_full = ~replaces & (policy.count >= policy.capacity)
-        human_full = human_count >= states.human.points.shape[-2]
+        human_full = states.human.count[where] >= states.human.capacity
         full = given & (policy_full | human_full)
         finite = jnp.isfinite(target) & jnp.isfinite(sigma_policy) & jnp.isfinite(sigma_human)
         learns = given & finite
 
-        policy_index = jnp.where(replaces, policy_covariances.argmax(), policy.count)
+        index = jnp.where(replaces, covariances.argmax(), policy.count)
         policy_learns, human_learns = learns, learns
         if self.on_full == "error":
             policy_learns = human_learns = learns & ~full
@@ -152,23 +165,11 @@ class GPC(Learner):
             policy_learns, human_learns = learns & ~policy_full, learns & ~human_full
         else:
             replaces = replaces | policy_full
-            policy_index = jnp.where(policy_full, policy_covariances.argmax(), policy_index)
+            index = jnp.where(policy_full, covariances.argmax(), index)
 
-        policy = self.policy.put(
-            states.policy, where, policy_whitened, obs, target, policy_index, policy_learns
-        )
-        if only_appends:
-            human = appended.only(human_learns)
-            finite &= jnp.isfinite(human.row).all() | ~human_learns
-        else:
-            human_index = human_count
-            if self.on_full == "replace-nearest":
-                human_index = jnp.where(human_full, human_covariances.argmax(), human_index)
-            human = self.human.put(
-                states.human, where, human_whitened, pair, advice, human_index, human_learns
-            )
-            changed = human.matrix if isinstance(human, Posterior) else human.edit.row
-            finite &= jnp.isfinite(changed).all() | ~human_learns
+        policy = self.policy.put(states.policy, where, whitened, obs, target, index, policy_learns)
+        human = learn_human(human_learns, human_full)
+        finite &= jnp.isfinite(_numbers(human)).all() | ~human_learns
         finite &= jnp.isfinite(policy.weights).all()
         refused = full if self.on_full == "error" else jnp.array(False)
         status = jnp.where(finite | ~given, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
@@ -182,6 +183,13 @@ class GPC(Learner):
             status=status.astype(jnp.int32),
         )
         return GPCChange(policy=policy, human=human), info
+
+
+def _numbers(change: Posterior | Placed | Appended) -> Float[Array, "..."]:
+    """The new part of a factor."""
+    if isinstance(change, Posterior):
+        return change.matrix
+    return change.edit.row if isinstance(change, Placed) else change.row
 
 
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:

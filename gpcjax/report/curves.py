@@ -80,7 +80,7 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None
             for group in study.select(oracle, error):
                 if group in rates and rates[group].size:
                     index = np.arange(1, rates[group].shape[1] + 1)
-                    _line(axis, index, median_band(rates[group]), style.colour(group.algo))
+                    line(axis, index, median_band(rates[group]), style.colour(group.algo))
             style.count_ticks(axis, longest)
         axes[0].set_ylim(bottom=0)  # for all panels, once all lines are there
         style.label(axes, "correction", "learning rate, median of runs")
@@ -104,10 +104,11 @@ def _curve(axis: Axes, group: Group, leading: bool) -> None:
         axis.plot(episode, smooth.mean(axis=0), color=colour, linewidth=0.5, alpha=0.35, zorder=2)
         return
     axis.plot(episode, group.returns.mean(axis=0), color=colour, linewidth=0.8, alpha=0.35, zorder=3)
-    _line(axis, episode, mean_band(smooth), colour)
+    line(axis, episode, mean_band(smooth), colour)
 
 
-def _line(axis: Axes, x: np.ndarray, band: Band, colour: str) -> None:
+def line(axis: Axes, x: np.ndarray, band: Band, colour: str) -> None:
+    """A curve over its interval."""
     marker = "o" if len(x) == 1 else None
     axis.fill_between(x, band.lower, band.upper, color=colour, alpha=0.2, linewidth=0, zorder=3)
     axis.plot(x, band.mean, color=colour, marker=marker, markersize=3, zorder=4)
@@ -139,8 +140,8 @@ def _baseline_handles(study: Study) -> list[Artist]:
     return handles
 
 
-def _rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
-    """The learning rates of the group's runs in the order of their corrections, nan after the last one."""
+def first_rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
+    """The first learning rates of the group's runs (as `group.seeds`) in their order, nan after a run's last one."""
     chosen = _belongs(group, corrections)
     seed, episode, step, dimension, rate = (
         corrections[name].to_numpy(np.float64)[chosen]
@@ -150,8 +151,14 @@ def _rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs c
     seeds, start, run = np.unique(seed[order], return_index=True, return_inverse=True)
     index = np.arange(len(order)) - start[run]
     early = index < FIRST_CORRECTIONS
-    rates = np.full((len(seeds), FIRST_CORRECTIONS), np.nan)
-    rates[run[early], index[early]] = rate[order][early]
+    rates = np.full((group.runs, FIRST_CORRECTIONS), np.nan)
+    rates[np.searchsorted(group.seeds, seeds)[run[early]], index[early]] = rate[order][early]
+    return rates
+
+
+def _rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
+    """The same, as far as half of the runs have so many."""
+    rates = first_rates(group, corrections)
     enough = 2 * (~np.isnan(rates)).sum(axis=0) >= group.runs
     return rates[:, : len(enough) if enough.all() else enough.argmin()]
 

@@ -36,30 +36,35 @@ def page(summary: Summary, pictures: Iterable[Picture]) -> str:
         f'<p class="lead">{escape(_lead(summary))}</p>',
         _warnings(summary),
         "<h2>Results</h2>",
-        *map(_table, tables.result_sheets(summary)),
-        *map(_table, tables.point_sheets(summary)),
-        *map(_paragraph, tables.reading(summary)),
-        *map(_picture, pictures),
+        *map(table, tables.result_sheets(summary)),
+        *map(table, tables.point_sheets(summary)),
+        *map(paragraph, tables.reading(summary)),
+        *map(picture, pictures),
         *_differences(summary),
         *(_folded("Every point of the grid", tables.grid_sheets(summary)) if study.varying else []),
         "<h2>Limits met</h2>",
-        *map(_table, tables.limits_sheets(summary)),
-        _paragraph(
+        *map(table, tables.limits_sheets(summary)),
+        paragraph(
             "Steps of the runs that are in the numbers; clipped: the part of them whose action was outside [-1, 1]; "
             "met full: corrections that met a full dictionary; stopped: runs that ended before their time."
         ),
         "<h2>How the numbers are made</h2>",
-        _definitions(_methods(summary)),
+        definitions(_methods(summary)),
         "<h2>What was run</h2>",
-        _facts("Specification", manifest.get("specification") or {}, {"hash": manifest.get("hash", "")}),
-        _facts("Run", _throughput(manifest)),
-        _facts("Machine", manifest.get("machine") or {}),
-        _facts("Versions", manifest.get("versions") or {}),
+        facts("Specification", manifest.get("specification") or {}, {"hash": manifest.get("hash", "")}),
+        facts("Run", _throughput(manifest)),
+        facts("Machine", manifest.get("machine") or {}),
+        facts("Versions", manifest.get("versions") or {}),
     ]
+    return document(_title(summary), body)
+
+
+def document(title: str, body: Iterable[str]) -> str:
+    """A page of these parts, with our style; empty ones are left out."""
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(_title(summary))}</title>\n<style>{_CSS}</style>\n</head>\n<body>\n<main>\n"
+        f"<title>{escape(title)}</title>\n<style>{_CSS}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(filter(None, body))
         + "\n</main>\n</body>\n</html>\n"
     )
@@ -84,7 +89,7 @@ def _lead(summary: Summary) -> str:
 
 def _warnings(summary: Summary) -> str:
     lines = tables.warnings(summary)
-    return f'<div class="warning">{"".join(map(_paragraph, lines))}</div>' if lines else ""
+    return f'<div class="warning">{"".join(map(paragraph, lines))}</div>' if lines else ""
 
 
 def _differences(summary: Summary) -> list[str]:
@@ -92,19 +97,20 @@ def _differences(summary: Summary) -> list[str]:
     rows = sum(len(sheet.rows) for sheet in sheets)
     if not rows:
         return []
-    notes = list(map(_paragraph, tables.reading_differences()))
+    notes = list(map(paragraph, tables.reading_differences()))
     if rows > tables.MOST_ROWS:
         return ["<h2>Paired differences</h2>", *notes, *_folded(f"{rows} differences", sheets)]
-    return ["<h2>Paired differences</h2>", *map(_table, sheets), *notes]
+    return ["<h2>Paired differences</h2>", *map(table, sheets), *notes]
 
 
 def _folded(title: str, sheets: list[Sheet]) -> list[str]:
     if sum(len(sheet.rows) for sheet in sheets) > MOST_ROWS:
-        return [_paragraph(f"{title}: more than {MOST_ROWS} rows, see summary.csv and differences.csv.")]
-    return [f"<details><summary>{escape(title)}</summary>{''.join(map(_table, sheets))}</details>"]
+        return [paragraph(f"{title}: more than {MOST_ROWS} rows, see summary.csv and differences.csv.")]
+    return [f"<details><summary>{escape(title)}</summary>{''.join(map(table, sheets))}</details>"]
 
 
-def _table(sheet: Sheet) -> str:
+def table(sheet: Sheet) -> str:
+    """A sheet; columns of words are set to the left."""
     words_at = [column in tables.WORD_COLUMNS for column in sheet.columns]
     head = "".join(
         f"<th{_left(word)}>{escape(name)}</th>" for name, word in zip(sheet.columns, words_at, strict=True)
@@ -128,7 +134,8 @@ def _left(word: bool) -> str:
     return ' class="word"' if word else ""
 
 
-def _picture(picture: Picture) -> str:
+def picture(picture: Picture) -> str:
+    """A figure with its caption, inside of the page."""
     source = base64.b64encode(picture.svg).decode()
     return (
         f'<figure><img width="{round(PIXELS * picture.inches)}" alt="{escape(picture.alternative)}" '
@@ -137,18 +144,21 @@ def _picture(picture: Picture) -> str:
     )
 
 
-def _paragraph(text: str) -> str:
+def paragraph(text: str) -> str:
+    """Text, with what means something in HTML escaped."""
     return f"<p>{escape(text)}</p>"
 
 
-def _definitions(entries: Mapping[str, str]) -> str:
+def definitions(entries: Mapping[str, str]) -> str:
+    """A list of names and what they are."""
     rows = "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in entries.items())
     return f"<dl>{rows}</dl>"
 
 
-def _facts(title: str, *parts: Mapping[str, Any]) -> str:
+def facts(title: str, *parts: Mapping[str, Any]) -> str:
+    """A headed list of values, as in a manifest; nothing if there are none."""
     entries = {name.replace("_", " "): _shown(value) for part in parts for name, value in part.items()}
-    return f"<h3>{escape(title)}</h3>{_definitions(entries)}" if entries else ""
+    return f"<h3>{escape(title)}</h3>{definitions(entries)}" if entries else ""
 
 
 def _shown(value: Any) -> str:

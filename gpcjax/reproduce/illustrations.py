@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gpcjax.engine.pool import Finished
+from gpcjax.gp import regression
 from gpcjax.gp.fit import fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess, Posterior
@@ -100,17 +101,19 @@ def _regression(
     kernel: Kernel, noise: Any, points: Any, targets: Any, x: Any
 ) -> tuple[Float[Array, " grid"], Float[Array, " grid"], Float[Array, ""]]:
     """Mean and standard deviation over `x`, and the log marginal likelihood."""
-    process = GaussianProcess(kernel, noise, replaces=False)
+    process = GaussianProcess(kernel, noise)
 
     def put(posterior: Posterior, pair: Any) -> tuple[Posterior, None]:
-        point, target = pair
-        return process.put(posterior, point[None], target, posterior.count, jnp.array(True)), None
+        point, target = pair[0][None], pair[1]
+        whitened = process.whiten(posterior, (), process.covariances(posterior, point))
+        change = process.put(posterior, (), whitened, point, target, posterior.count, jnp.array(True))
+        return regression.write(posterior, (), change), None
 
     posterior, _ = jax.lax.scan(put, process.init(points.size, jnp.ones(1)), (points, targets))
 
     def at(place: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        covariances = process.covariances(posterior, place[None])
-        return (covariances * posterior.weights).sum(), process.deviation(posterior, covariances)
+        mean = (process.covariances(posterior, place[None]) * posterior.weights).sum()
+        return mean, process.uncertainty(posterior, place[None])
 
     return *jax.vmap(at)(x), log_marginal_likelihood(kernel, noise, points[:, None], targets)
 
@@ -269,7 +272,7 @@ def _look(learner: GPC, state: GPCState, observations: Any) -> dict[str, Float[A
 
     def at(obs: Float[Array, " obs"]) -> dict[str, Float[Array, ""]]:
         action = learner.act(state, obs)
-        sigma_policy = learner.policy.deviation(policy, learner.policy.covariances(policy, obs))
+        sigma_policy = learner.policy.uncertainty(policy, obs)
         sigma_human = learner.uncertainty(state, obs, action)[0]
         return {"policy": action[0], "sigma_policy": sigma_policy, "sigma_human": sigma_human}
 

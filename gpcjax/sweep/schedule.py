@@ -16,6 +16,8 @@ def offered_rates(out: Path) -> tuple[float, ...]:
         UserError: `out` is no run folder, is not complete, or holds more than one setting.
     """
     check_report(out)
+    import numpy as np
+
     from gpcjax.sweep.store import IDENTITY, read_episodes
 
     manifest = read_manifest(out)
@@ -23,7 +25,11 @@ def offered_rates(out: Path) -> tuple[float, ...]:
         raise UserError(f"{out}: this sweep is not complete, run it to its end first")
     frame = read_episodes(out)
     for name in (*IDENTITY[1:-1], *manifest["varying"]):
-        if frame[name].nunique(dropna=False) > 1:
+        if len(set(frame[name].tolist())) > 1:
             raise UserError(f"{out}: its runs differ in {name}, give a sweep of one setting")
-    chances = frame.groupby("episode")["chance"].mean()
-    return tuple(float(chance) for chance in chances.ffill().bfill())
+    table = frame.pivot(index="seed", columns="episode", values="chance").to_numpy()
+    known = ~np.isnan(table)
+    chances = np.where(known, table, 0.0).sum(0) / known.sum(0).clip(1)
+    # An episode in which no coin of any run allowed advice has the chance of the one before.
+    last = np.maximum.accumulate(np.where(known.any(0), np.arange(len(chances)), 0))
+    return tuple(chances[last].tolist())

@@ -16,6 +16,7 @@ from gpcjax.engine import streams
 from gpcjax.engine.lanes import LOGGED_CORRECTIONS, Lane
 from gpcjax.engine.pool import Finished, Pool, Start, Tier
 from gpcjax.envs.base import Env, State, begin, parameter
+from gpcjax.envs.host import HostEnv, Simulation
 from gpcjax.learners.base import Learner, Status
 from gpcjax.learners.factory import make_learner
 from gpcjax.teachers.oracle import Oracle
@@ -119,7 +120,7 @@ def starts(algo: str) -> list[Start]:
     ]
 
 
-def make_pool(env: Env, template: Start, tiers: tuple[Tier, ...], episodes: int = EPISODES) -> Pool:
+def make_pool(env: Env | HostEnv, template: Start, tiers: tuple[Tier, ...], episodes: int = EPISODES) -> Pool:
     return Pool(env, expert, episodes, template, tiers)
 
 
@@ -146,12 +147,13 @@ class Plain:
     state: Any
 
 
-def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain:
+def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain:
     """One run as anyone would write it: act, ask the teacher, correct, step; every chance worked out at every step.
 
     The dictionaries have the room of `tier` from the start.
     """
-    learner, teacher, seed = jax.tree.map(jnp.asarray, start.learner), start.teacher, start.seed
+    learner, given = jax.tree.map(jnp.asarray, (start.learner, start.teacher))
+    seed = start.seed
     state = learner.resize(learner.init(), tier.policy_capacity, tier.human_capacity)
     names = (
         "returns",
@@ -169,18 +171,24 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
     log: dict[str, list] = {"where": [], "values": [], "outcome": []}
     status = Status.OK
     for episode in range(episodes):
-        at = reset(env, streams.start_key(seed, episode))
+        at, teacher = reset(env, streams.start_key(seed, episode)), given
+        if teacher.schedule is not None:
+            rates = list(teacher.schedule)
+            teacher = dataclasses.replace(
+                teacher, rate=(rates + rates[-1:] * episodes)[episode], schedule=None
+            )
         while not at.done and status == Status.OK:
             step = int(at.time)
             action, clipped, h, asked, chance = propose(
-                learner, teacher, state, at.obs, streams.coins(seed, episode, step, learner.action_size)
+                learner, teacher, state, at.obs, coins(seed, episode, step, learner.action_size)
             )
             rows["asked"][episode] += bool(asked)
             rows["chance_sum"][episode] += float(chance) if asked else 0.0
             if np.any(h != 0):
                 state, info = learner.correct(state, at.obs, action, h)
+                info = jax.tree.map(np.asarray, info)
                 status = Status(int(info.status))
-                for i in np.flatnonzero(h):
+                for i in np.flatnonzero(np.asarray(h)):
                     log["where"].append((episode, step, i))
                     log["values"].append(
                         [values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)]
@@ -203,14 +211,35 @@ def plain(env: Env, start: Start, tier: Tier, episodes: int = EPISODES) -> Plain
     return Plain(rows, arrays, int(status), state)
 
 
-@eqx.filter_jit
-def reset(env: Env, key: PRNGKeyArray) -> State:
-    return env.reset(key)
+@dataclasses.dataclass
+class OnHost:
+    """What `plain` reads of an episode that is simulated on the host."""
+
+    simulation: Simulation
+    obs: np.ndarray
+    time: int = 0
+    reward: float = 0.0
+    done: bool = False
 
 
-@eqx.filter_jit
-def advance(env: Env, state: State, action: Array) -> State:
-    return env.step(state, action)
+def reset(env: Env | HostEnv, key: PRNGKeyArray) -> State | OnHost:
+    """The start of an episode; on the host of a new simulation."""
+    if isinstance(env, Env):
+        return _reset(env, key)
+    simulation = env.simulate()
+    return OnHost(simulation, simulation.reset(int(jax.random.key_data(key)[0])))
+
+
+def advance(env: Env | HostEnv, at: State | OnHost, action: Array) -> State | OnHost:
+    if isinstance(env, Env):
+        return _step(env, at, action)
+    got = at.simulation.step(np.asarray(action))
+    return OnHost(at.simulation, got.obs, at.time + 1, got.reward, got.terminated or got.truncated)
+
+
+_reset = eqx.filter_jit(lambda env, key: env.reset(key))
+_step = eqx.filter_jit(lambda env, state, action: env.step(state, action))
+coins = jax.jit(streams.coins, static_argnums=3)
 
 
 @eqx.filter_jit

@@ -9,23 +9,12 @@ import numpy as np
 import pytest
 
 from gpcjax.engine import pool as pool_module
-from gpcjax.engine import streams
 from gpcjax.engine.lanes import Phase
+from gpcjax.envs.base import Env
+from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Status
-from tests.engine.tasks import EPISODES, TIERS, Drift, kept, make_pool, plain, run, starts
+from tests.engine.tasks import EPISODES, TIERS, Drift, coins, kept, plain, run, starts
 from tests.trees import assert_same_bits
-
-
-@pytest.fixture(scope="class")
-def pool(request):
-    algo = request.cls.algo
-    return make_pool(Drift(), starts(algo)[0], TIERS[algo])
-
-
-@pytest.fixture(scope="class")
-def together(request, pool):
-    """Every run of `starts`, side by side; more than the first block has places."""
-    return run(pool, starts(request.cls.algo))
 
 
 def assert_the_same_runs(got, expected):
@@ -37,6 +26,7 @@ class Bits:
     """What holds for each learner. Each has a class, which xdist keeps together: its blocks are compiled once."""
 
     algo: str
+    env: Env | HostEnv = Drift()
 
     def test_the_runs_are_worth_comparing(self, pool, together):
         """They pass through every tier, end at different times and for different reasons, and learn."""
@@ -70,13 +60,13 @@ class Bits:
         for each in starts(self.algo):
             log = together[each.name].log
             for episode, step, dimension in log.where[: log.count]:
-                coins = streams.coins(each.seed, int(episode), int(step), 2)
-                assert coins[dimension] < each.teacher.rate
+                drawn = coins(each.seed, int(episode), int(step), 2)
+                assert drawn[dimension] < each.teacher.rate
 
     def test_against_a_plain_loop(self, pool, together):
         """Until rounding errors have grown: the first episode and its corrections, through all tiers."""
         each, lane = starts(self.algo)[1], together[1]
-        expected = plain(Drift(), each, pool._blocks[-1].tier, episodes=1)
+        expected = plain(self.env, each, pool._blocks[-1].tier, episodes=1)
         assert expected.rows["corrections"][0] > 10
         for name, values in expected.rows.items():
             np.testing.assert_allclose(getattr(lane.rows, name)[0], values[0], rtol=1e-9, err_msg=name)

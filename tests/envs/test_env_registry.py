@@ -7,36 +7,58 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from gpcjax.envs.base import Env
 from gpcjax.envs.cartpole import CartPole
-from gpcjax.envs.experts import LQR, EnergySwingUp
-from gpcjax.envs.registry import ENVS, default_episodes, env_names, expert_names, make_env, make_expert
+from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic
+from gpcjax.envs.host import HostEnv
+from gpcjax.envs.registry import (
+    ENVS,
+    default_episodes,
+    default_max_capacity,
+    env_names,
+    expert_names,
+    make_env,
+    make_expert,
+)
 
 
 @pytest.mark.parametrize("name", env_names())
 def test_make_env(name: str) -> None:
     env = make_env(name)
     assert env.name == name
-    assert env.reset(jax.random.key(0)).obs.shape == (env.obs_size,)
+    on_host = name == "lunarlander"
+    assert isinstance(env, HostEnv if on_host else Env)
+    obs = env.simulate().reset(0) if on_host else env.reset(jax.random.key(0)).obs
+    assert obs.shape == (env.obs_size,)
 
 
 def test_parameters_reach_the_env() -> None:
     env = make_env("cartpole", pole_mass=0.3, max_steps=7)
     assert isinstance(env, CartPole)
     assert env.pole_mass == 0.3 and env.max_steps == 7 and env.pole_mass.dtype == jnp.float64
+    assert make_env("lunarlander", max_steps=7).max_steps == 7
 
 
 @pytest.mark.parametrize(
-    ("env_name", "expert", "kind"), [("cartpole", "lqr", LQR), ("pendulum", "energy", EnergySwingUp)]
+    ("env_name", "expert", "kind"),
+    [
+        ("cartpole", "lqr", LQR),
+        ("pendulum", "energy", EnergySwingUp),
+        ("lunarlander", "heuristic", LanderHeuristic),
+    ],
 )
 def test_make_expert(env_name: str, expert: str, kind: type) -> None:
     assert isinstance(make_expert(env_name, expert), kind)
 
 
 def test_names() -> None:
-    assert env_names() == ("cartpole", "pendulum")
-    assert expert_names("cartpole") == ("gpc", "lqr")
-    assert expert_names("pendulum") == ("gpc", "energy")
-    assert (default_episodes("cartpole"), default_episodes("pendulum")) == (30, 40)
+    """The default expert of a task comes first."""
+    assert env_names() == ("cartpole", "pendulum", "lunarlander")
+    assert (expert_names("cartpole")[0], expert_names("cartpole")[-1]) == ("gpc", "lqr")
+    assert (expert_names("pendulum")[0], expert_names("pendulum")[-1]) == ("gpc", "energy")
+    assert expert_names("lunarlander") == ("heuristic",)
+    assert [default_episodes(name) for name in env_names()] == [30, 40, 200]
+    assert [default_max_capacity(name) for name in env_names()] == [1024, 1024, 4096]
 
 
 def test_targets_are_well_formed() -> None:
@@ -47,15 +69,20 @@ def test_targets_are_well_formed() -> None:
 
 
 def test_unknown_names() -> None:
-    for call in (make_env, expert_names, default_episodes, lambda name: make_expert(name, "lqr")):
-        with pytest.raises(ValueError, match="unknown environment 'cartpol'; allowed: cartpole, pendulum"):
+    unknown = "unknown environment 'cartpol'; allowed: cartpole, pendulum, lunarlander"
+    calls = make_env, expert_names, default_episodes, default_max_capacity
+    for call in (*calls, lambda name: make_expert(name, "lqr")):
+        with pytest.raises(ValueError, match=unknown):
             call("cartpol")
-    with pytest.raises(ValueError, match="unknown oracle 'energy' for cartpole; allowed: gpc, lqr"):
+    known = ", ".join(expert_names("cartpole"))
+    with pytest.raises(ValueError, match=f"unknown oracle 'energy' for cartpole; allowed: {known}$"):
         make_expert("cartpole", "energy")
     with pytest.raises(
         ValueError, match=r"unknown parameter 'masspole' of cartpole; allowed: gravity, .*pole_mass"
     ):
         make_env("cartpole", masspole=0.1)
+    with pytest.raises(ValueError, match="unknown parameter 'gravity' of lunarlander; allowed: max_steps"):
+        make_env("lunarlander", gravity=-5.0)
     with pytest.raises(ValueError, match="pendulum: max_steps must be at least 1, got 0"):
         make_env("pendulum", max_steps=0)
 
@@ -73,6 +100,7 @@ def test_tasks_load_neither_brax_nor_gymnasium() -> None:
     code = (
         "import sys; from gpcjax.envs.registry import make_env, make_expert; import gpcjax.envs.brax_adapter\n"
         "make_env('cartpole'), make_expert('cartpole', 'lqr'), make_env('pendulum')\n"
+        "make_expert('lunarlander', 'heuristic'); import gpcjax.envs.host\n"
         "assert not {'brax', 'gymnasium', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -252,6 +252,16 @@ def test_not_given_nothing_changes_to_the_bit():
             assert not np.array_equal(other, root)
 
 
+def test_rounding_cannot_take_the_variance_below_the_noise():
+    """Of a point that repeats another, where the noise is lost beside the prior variance."""
+    noise, k = 1e-20, jnp.asarray(np.eye(CAPACITY)[0])
+    root = put(empty, (), 0, 0, jnp.zeros(CAPACITY), noise, True)[0]
+    deviation, row = append(root, (), 1, k, 1.0 + noise, noise)
+    assert deviation == np.sqrt(noise) and row[1] == 1 / deviation
+    _, edit, _ = put(root, (), 1, 1, k, noise, True)
+    np.testing.assert_allclose(edit.row, row, rtol=1e-12)
+
+
 def test_a_batch_is_its_members():
     """Each lane replaces, appends or rests, at an index of its own."""
     rng, lanes = np.random.default_rng(5), []

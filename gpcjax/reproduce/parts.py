@@ -1,0 +1,100 @@
+"""What a reproduction consists of: parts that can be run alone, each a few experiments. Loads no jax, no numpy."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpcjax.allowed import suggestion
+from gpcjax.errors import UserError
+from gpcjax.sweep.runfolder import check_sweep
+from gpcjax.sweep.spec import make_spec, read_toml
+
+
+@dataclass(frozen=True)
+class Part:
+    """Experiments in the order in which they have to run: a later one may take its rates from an earlier one."""
+
+    title: str
+    experiments: tuple[str, ...]
+    """Names of TOML files, and of their run folders."""
+
+
+PARTS: dict[str, Part] = {
+    "illustrations": Part("Illustrations of the method (Chapters 2, 3 and 5)", ()),
+    "pendulum": Part("Inverted pendulum (5.1.1)", ("fig5_1_pendulum",)),
+    "cartpole": Part("Cart-pole (5.1.2)", ("fig5_4_cartpole",)),
+    "active": Part(
+        "Active learning and the adaptive learning rate (5.3)",
+        tuple(f"table5_4{fine}_{row}" for fine in ("", "_fine") for row in ("i", "ii", "iii", "iv")),
+    ),
+    "oracles": Part("Which conclusions depend on the oracle and on delta", ("oracles_cartpole",)),
+    "lander": Part("Lunar lander (5.1.3)", ("fig5_5_lunarlander", "fig5_5_lunarlander_ns")),
+}
+"""The slowest last. Illustrations are computed, not swept."""
+
+ROWS = {
+    "i": "i: AL and ALR",
+    "ii": "ii: AL",
+    "iii": "iii: ALR",
+    "iv": "iv: baseline",
+}
+"""Of Table 5.4."""
+
+CHANGES = {
+    "Tasks": "gymnasium's Pendulum-v1 and LunarLander-v3 for Pendulum-v0 and LunarLander-v2, which are gone; the "
+    "cart-pole "
+    "with a continuous force, as the thesis describes it.",
+    "Runs": "100 instead of 20 on pendulum and cart-pole; on the lander 100 for GPC and COACH as in the thesis, 20 "
+    "for "
+    "GPC-NS, whose factors are computed anew at each correction.",
+    "Custom scaling w": "multiplies the inputs (Tables 5.1 to 5.3); as printed, with w to the power -2, nothing is "
+    "learned.",
+    "GPC-NS": "divides by the standard deviations of the inputs; the text says variance, with which nothing is "
+    "learned.",
+    "c_h and c_p": "are variances, so that sigma_thres is half of the root of c_p.",
+    "Table 5.4": "c_r = 0.01 and r_c = 0.04. The table prints c_r = 0.1 and the text r_c = 0.4, which contradict "
+    "the average "
+    "learning rates that the thesis reports. c_a, which it does not name, is 1.",
+    "Oracles": "The thesis' oracles were taught by a person. Ours were taught by GPC from a linear regulator "
+    "(cart-pole) and "
+    "an energy controller (pendulum), the latter for 100 episodes with delta 0.01. On the lander the oracle is "
+    "gymnasium's "
+    "heuristic, as in the thesis.",
+    "delta": "0.05 where nothing else is said; the thesis does not name its value.",
+    "Episodes": "30 on the cart-pole, 40 on the pendulum, 200 on the lander.",
+}
+"""Where a value of the thesis was changed, or one that it does not give was chosen."""
+
+
+def check(sweeps: Path, out: Path, only: Sequence[str], quick: bool) -> int:
+    """Says what is wrong before anything runs; gives the number of experiments.
+
+    Raises:
+        UserError: a file of an experiment that is missing or wrong, or a run folder that holds something else.
+    """
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: this is no folder, give a new one (--out)")
+    names = [name for part in only for name in PARTS[part].experiments]
+    for name in names:
+        given = read_toml(sweeps / f"{name}.toml", quick)
+        if given.pop("rate_from", None) is None:
+            check_sweep(out / name, make_spec(given))
+    return len(names)
+
+
+def folder(quick: bool) -> Path:
+    """Where a reproduction goes if nobody says."""
+    return Path("runs", "reproduction-quick" if quick else "reproduction")
+
+
+def chosen(text: str | None) -> tuple[str, ...]:
+    """The parts named in a comma list, in their own order; all without one.
+
+    Raises:
+        UserError: a part that there is not.
+    """
+    names = tuple(PARTS) if text is None else tuple(word.strip() for word in text.split(","))
+    for name in names:
+        if name not in PARTS:
+            raise UserError(f"--only {name!r}: give {', '.join(PARTS)}{suggestion(name, PARTS)}")
+    return tuple(part for part in PARTS if part in names)

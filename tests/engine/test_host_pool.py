@@ -1,0 +1,20 @@
+"""Runs of a task on the host: their bits depend on nothing but themselves either."""
+
+from tests.engine.host_tasks import host_drift
+from tests.engine.test_pool import Bits
+
+
+class OnHost(Bits):
+    env = host_drift()
+
+
+class TestGPC(OnHost):
+    algo = "gpc"
+
+
+class TestGPCNS(OnHost):
+    algo = "gpc-ns"
+
+
+class TestCOACH(OnHost):
+    algo = "coach"
