@@ -127,17 +127,24 @@ class HostLoop(eqx.Module):
         return block, jnp.concatenate([block.action, going[None].astype(block.action.dtype)])
 
     def _take_in(self, block: Lane, news: News) -> Lane:
-        env, stepped = block.env, news.stepped != 0
-        after = State(
-            physics=env.physics,
-            obs=jnp.where(stepped, news.obs, env.obs),
-            reward=jnp.where(stepped, news.reward, env.reward),
-            terminated=stepped & (news.terminated != 0),
-            truncated=stepped & (news.truncated != 0),
-            time=env.time + stepped,
+        stepped = news.stepped != 0
+
+        def newer(value: Array, old: Array) -> Array:
+            return jnp.where(stepped, value.astype(old.dtype), old)
+
+        env = eqx.tree_at(
+            lambda env: (env.obs, env.reward, env.terminated, env.truncated, env.time),
+            block.env,
+            (
+                newer(news.obs, block.env.obs),
+                newer(news.reward, block.env.reward),
+                newer(news.terminated, block.env.terminated),
+                newer(news.truncated, block.env.truncated),
+                block.env.time + stepped,
+            ),
         )
         returns = block.tally.returns + jnp.where(stepped, news.reward, 0.0)
-        return dataclasses.replace(block, env=after, tally=dataclasses.replace(block.tally, returns=returns))
+        return dataclasses.replace(block, env=env, tally=dataclasses.replace(block.tally, returns=returns))
 
 
 def _begin(obs: Float[Array, " obs"]) -> State:

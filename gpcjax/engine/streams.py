@@ -8,6 +8,8 @@ Coins are drawn for every step of every lane. jax's own Threefry runs as a loop 
 ten times as long as the same rounds written out.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,8 +36,7 @@ def start_key(seed: Scalar, episode: Scalar) -> PRNGKeyArray:
 
 def reset_seeds(seed: int, episodes: int) -> list[int]:
     """For `Simulation.reset` at the start of each episode: the first words of their start keys."""
-    first = jax.vmap(lambda episode: _episode_key(seed, START, episode)[0])(jnp.arange(episodes))
-    return np.asarray(first).tolist()
+    return np.asarray(_first_words(seed, episodes)).tolist()
 
 
 def coins(seed: Scalar, episode: Scalar, step: Scalar, action_size: int) -> Float[Array, " action"]:
@@ -55,6 +56,11 @@ def threefry(key: tuple[Word, Word], counter: tuple[Word, Word]) -> tuple[Word, 
             y = ((y << rotation) | (y >> (32 - rotation))) ^ x
         x, y = x + keys[(group + 1) % 3], y + keys[(group + 2) % 3] + jnp.uint32(group + 1)
     return x, y
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _first_words(seed: Scalar, episodes: int) -> UInt32[Array, " episodes"]:
+    return jax.vmap(lambda episode: _episode_key(seed, START, episode)[0])(jnp.arange(episodes))
 
 
 def _episode_key(seed: Scalar, stream: int, episode: Scalar) -> tuple[Word, Word]:

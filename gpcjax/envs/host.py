@@ -1,5 +1,6 @@
 """Tasks that gymnasium simulates on the host, one object an episode, beside those that are compiled."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -66,10 +67,13 @@ class HostEnv:
     def _make(self) -> Any:
         import gymnasium
 
-        try:
-            return gymnasium.make(self.gym_id, disable_env_checker=True, **self.options).unwrapped
-        except gymnasium.error.Error as error:
-            raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
+        with warnings.catch_warnings():
+            # Of Box2D's own wrappers: where warnings are errors, its import would end the process.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            try:
+                return gymnasium.make(self.gym_id, disable_env_checker=True, **self.options).unwrapped
+            except (gymnasium.error.Error, ImportError, TypeError, AssertionError) as error:
+                raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
 
 
 class Simulation:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from gpcjax.report import style, words
 from gpcjax.report.curves import WINDOW, learning_curves, line
 from gpcjax.report.groups import Group, unique
-from gpcjax.report.statistics import mean_band, median_band, paired_difference, walking_mean
+from gpcjax.report.statistics import mean_band, paired_difference, walking_mean
 from gpcjax.reproduce.parts import ROWS
 from gpcjax.reproduce.results import Experiment
 
@@ -20,9 +20,6 @@ ROW_COLOURS = dict(zip(ROWS, ("#0072B2", "#E69F00", "#009E73", "#555555"), stric
 """Of Okabe and Ito's, apart from those of the algorithms where it matters: the rows are all GPC."""
 
 ERROR_COLOURS = ("#0072B2", "#E69F00", "#D55E00")
-STATIC_RATE = 0.04
-WALK = 5
-"""Corrections of the walking mean over learning rates."""
 
 
 def returns(experiment: Experiment) -> Figure:
@@ -33,7 +30,7 @@ def returns(experiment: Experiment) -> Figure:
 def rates(experiment: Experiment) -> Figure:
     """Fig. 5.2, and normalised as in the paper's Fig. 6: the learning rate of the first corrections.
 
-    Medians over runs, since COACH's rate is unbounded. Below, each curve is divided by its largest value.
+    Below, each curve is divided by its largest value.
     """
     study = experiment.study
     titles = [f"{words.percent(error)} error" for error in study.errors]
@@ -48,9 +45,9 @@ def rates(experiment: Experiment) -> Figure:
                 if not curves.size:
                     continue
                 x, colour = np.arange(1, curves.shape[1] + 1), style.colour(algo)
-                line(above, x, median_band(curves), colour)
-                middle = walking_mean(np.nanmedian(curves, axis=0)[None], WALK)[0]
-                below.plot(x, middle / middle.max(), color=colour)
+                _walked(above, x, curves, colour)
+                mean = walking_mean(np.nanmean(curves, axis=0)[None], WINDOW)[0]
+                below.plot(x, mean / mean.max(), color=colour)
         for axis in axes:
             style.count_ticks(axis, 150)
             axis.set_ylim(bottom=0)
@@ -76,8 +73,7 @@ def ablation(rows: Mapping[str, Experiment]) -> Figure:
             episodes = len(x)
             feedback = group.corrections / experiment.rows(group, "length")
             for axis, values in zip(axes, (group.returns, feedback), strict=False):
-                axis.plot(x, values.mean(axis=0), color=colour, linewidth=0.8, alpha=0.35)
-                line(axis, x, mean_band(walking_mean(values, WINDOW)), colour)
+                _walked(axis, x, values, colour)
             line(axes[2], x, mean_band(experiment.rows(group, "chance")), colour)
         for axis in axes:
             style.count_ticks(axis, episodes)
@@ -101,9 +97,10 @@ def ablation_rates(rows: Mapping[str, Experiment]) -> Figure:
             if not curves.size:
                 continue
             if name in ("i", "iii"):
-                line(axis, np.arange(1, curves.shape[1] + 1), mean_band(curves), ROW_COLOURS[name])
+                _walked(axis, np.arange(1, curves.shape[1] + 1), curves, ROW_COLOURS[name])
             longest = max(longest, curves.shape[1])
-        axis.axhline(STATIC_RATE, color=ROW_COLOURS["iv"], linestyle="--", linewidth=1.2)
+        static = np.nanmax(rows["iv"].rates(rows["iv"].only))
+        axis.axhline(static, color=ROW_COLOURS["iv"], linestyle="--", linewidth=1.2)
         style.count_ticks(axis, longest)
         axis.set_ylim(bottom=0)
         axis.set_xlabel("correction")
@@ -170,6 +167,19 @@ def _long_enough(experiment: Experiment, group: Group) -> Float[np.ndarray, "run
     curves = experiment.rates(group)
     enough = 2 * (~np.isnan(curves)).sum(axis=0) >= max(group.runs, 1)
     return curves[:, : curves.shape[1] if enough.all() else int(enough.argmin())]
+
+
+def _walked(axis: Axes, x: np.ndarray, values: Float[np.ndarray, "runs points"], colour: str) -> None:
+    """The mean over runs, faint, and its walking mean with a 95 % interval; nan is where a run has no value."""
+    axis.plot(x, np.nanmean(values, axis=0), color=colour, linewidth=0.8, alpha=0.35)
+    window = np.stack([np.roll(values, shift, axis=1) for shift in range(-(WINDOW // 2), WINDOW // 2 + 1)])
+    for shift, shifted in zip(range(-(WINDOW // 2), WINDOW // 2 + 1), window, strict=True):
+        if shift:
+            shifted[:, slice(0, shift) if shift > 0 else slice(shift, None)] = np.nan
+    with np.errstate(invalid="ignore"):
+        known = ~np.isnan(window)
+        walked = np.where(known, window, 0.0).sum(0) / np.maximum(known.sum(0), 1)
+    line(axis, x, mean_band(np.where(np.isnan(values), np.nan, walked)), colour)
 
 
 def _row_handles(rows: Mapping[str, Any]) -> list[Line2D]:

@@ -13,7 +13,7 @@ from gpcjax.report.html import Picture
 from gpcjax.report.tables import Sheet, result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import Claim, claims
-from gpcjax.reproduce.parts import PARTS, ROWS, check
+from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS, check
 from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
@@ -130,21 +130,24 @@ def _figures(out: Path, results: Mapping[str, Experiment]) -> dict[tuple[str, st
             "(a walking "
             "mean of 5) by its largest value. A line ends where fewer than half of the runs have so many corrections.",
         )
-    for stem, delta in (("table5_4", "0.05"), ("table5_4_fine", "0.01")):
+    for stem, setting in ABLATIONS.items():
         rows = {row: results[f"{stem}_{row}"] for row in ROWS if f"{stem}_{row}" in results}
         if len(rows) == len(ROWS):
-            what = f"the rows of Table 5.4, cart-pole, 10 % error, delta {delta} ({_runs(rows['i'])} each)"
-            drawn["active", f"fig5_7_{stem}"] = (
+            what = f"the rows of Table 5.4 with {setting}; cart-pole, 10 % error ({_runs(rows['i'])} each)"
+            name = stem.removeprefix("table5_4")
+            drawn["active", f"fig5_7_ablation{name}"] = (
                 figures.ablation(rows),
                 "Fig. 5.7",
                 f"Fig. 5.7: {what}. Return and feedback of each episode, walking means of 3 with 95 % intervals "
                 f"over the raw "
                 "means; and the chance of advice that the teacher offered, which in iii and iv is that of i and ii.",
             )
-            drawn["active", f"fig5_8_{stem}"] = (
+            drawn["active", f"fig5_8_ablation_rates{name}"] = (
                 figures.ablation_rates(rows),
                 "Fig. 5.8",
-                f"Fig. 5.8: learning rate of each correction, {what}; means with 95 % intervals.",
+                f"Fig. 5.8: learning rate of each correction, {what}. Walking means of 3 with 95 % intervals over "
+                f"the raw "
+                "means.",
             )
     if "oracles_cartpole" in results:
         drawn["oracles", "oracles_cartpole"] = (

@@ -21,10 +21,10 @@ EXECUTED: list[int] = []
 class Counting(GPC):
     """GPC that tells when a correction is traced, and when one is computed."""
 
-    def _correct(self, state, obs, action, advice):
+    def _correct(self, states, where, obs, action, advice):
         TRACED.append("correct")
         jax.debug.callback(lambda: EXECUTED.append(1))
-        return super()._correct(state, obs, action, advice)
+        return super()._correct(states, where, obs, action, advice)
 
 
 def pool_of(learner, starts, episodes=2):

@@ -112,7 +112,7 @@ def counted(lane):
 
 def test_active_learning():
     """Thinning changes nothing, to the bit; and a plain loop, which knows nothing of it, agrees."""
-    tier, teaching = Tier(64, 64, 8), {"rate": 0.02, "delta": 0.0, "error": 0.1, "active_gain": 6.0}
+    tier, teaching = Tier(64, 64, 8), {"rate": 0.02, "delta": 0.0, "error": 0.1, "active_gain": 2.5}
     teachers, lanes = [oracle(kind, **teaching) for kind in (Oracle, Always)], []
     for teacher in teachers:
         each = start("active", learner("gpc", capacity=64), teacher, 1)
@@ -122,11 +122,12 @@ def test_active_learning():
     agrees(lanes[0], plain(RECORDED, dataclasses.replace(each, teacher=teachers[0]), tier))
     # The chances that thinning met are a fair sample of those of all steps.
     met, every = (lane.rows.chance_sum.sum() / lane.rows.asked.sum() for lane in lanes)
-    assert lanes[0].rows.asked.sum() < 0.8 * lanes[1].rows.asked.sum() == 0.8 * lanes[1].rows.length.sum()
-    np.testing.assert_allclose(met, every, rtol=0.1)
+    assert lanes[1].rows.asked.sum() == lanes[1].rows.length.sum()
+    assert lanes[0].rows.asked.sum() < 0.6 * lanes[1].rows.asked.sum()
+    np.testing.assert_allclose(met, every, rtol=0.05)
     # Both bounds of the chance are far: it follows sigma_h, and some that thinning let pass were refused.
     rate = lanes[0].rows.corrections.sum() / (2 * lanes[0].rows.length.sum())
-    largest = 0.02 + 6.0 * lanes[0].learner.largest_sigma()
+    largest = 0.02 + 2.5 * lanes[0].learner.largest_sigma()
     assert 0.1 < rate < 0.9 * largest
 
 

@@ -71,3 +71,16 @@ def test_starts_and_coins_of_one_place_are_independent():
     start = jax.vmap(lambda *p: jax.random.uniform(streams.start_key(*p)))(*place)
     coin = jax.vmap(lambda *p: streams.coins(*p, 0, 1)[0])(*place)
     assert abs(np.corrcoef(start, coin)[0, 1]) < 0.07
+
+
+def test_seeds_of_resets_are_the_first_words_of_start_keys():
+    for seed in (0, 1, 2, 999_999):
+        keys = [bits(streams.start_key(seed, episode)) for episode in range(5)]
+        assert streams.reset_seeds(seed, 5) == [key[0] for key in keys]
+        assert all(type(each) is int for each in streams.reset_seeds(seed, 5))
+        assert streams.reset_seeds(seed, 3) == streams.reset_seeds(seed, 5)[:3]
+
+
+def test_no_two_resets_have_the_same_seed():
+    drawn = [each for seed in range(40) for each in streams.reset_seeds(seed, 25)]
+    assert len(set(drawn)) == 40 * 25 and min(drawn) >= 0 and max(drawn) < 2**32

@@ -13,6 +13,7 @@ from gpcjax.engine import streams
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.experts import LanderHeuristic
 from gpcjax.envs.host import HostEnv, Simulation, lunar_lander
+from tests.engine.host_tasks import host_drift
 
 
 def random_actions(seed: int, steps: int, size: int = 2) -> np.ndarray:
@@ -138,8 +139,10 @@ class TestSimulation:
         for got, expected in zip(together, alone, strict=True):
             assert_same(got[: len(expected)], expected)
 
-    def test_what_is_beyond_is_clipped(self) -> None:
-        simulation, actions = self.env.simulate(), 3 * random_actions(4, 40)
+    @pytest.mark.parametrize("env", [env, host_drift()], ids=lambda env: env.name)
+    def test_what_is_beyond_is_clipped(self, env: HostEnv) -> None:
+        """Whether the task does that by itself or not."""
+        simulation, actions = env.simulate(), 3 * random_actions(4, 40)
         assert (np.abs(actions) > 1).any(0).all()
         assert_same(episode(simulation, 4, actions), episode(simulation, 4, actions.clip(-1, 1)))
 
