@@ -26,12 +26,14 @@ class Entry:
     | `experts`  | expert name -> ("module:attribute" of a factory, its arguments...); the default first |
     | `episodes` | default length of a sweep                                                            |
     | `max_capacity` | default bound of a dictionary's points                                           |
+    | `on_host`  | simulated there: a step takes tens of microseconds, whatever is compiled             |
     """
 
     target: str
     experts: Mapping[str, tuple[str, ...]]
     episodes: int
     max_capacity: int = 1024
+    on_host: bool = False
 
 
 ENVS: Mapping[str, Entry] = MappingProxyType(
@@ -63,6 +65,7 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
             experts=MappingProxyType({"heuristic": ("gpcjax.envs.experts:LanderHeuristic",)}),
             episodes=200,
             max_capacity=4096,
+            on_host=True,
         ),
     }
 )
@@ -92,6 +95,11 @@ def default_episodes(env_name: str) -> int:
 def default_max_capacity(env_name: str) -> int:
     """Points that a dictionary may hold in a sweep of this task. Raises ValueError for an unknown task."""
     return _entry(env_name).max_capacity
+
+
+def on_host(env_name: str) -> bool:
+    """Whether a task is simulated on the host. Raises ValueError for an unknown task."""
+    return _entry(env_name).on_host
 
 
 @overload

@@ -287,9 +287,10 @@ def write(posteriors: Posterior, where: Places, change: Posterior | Placed | App
 
 
 def _leading_sizes(capacity: int) -> tuple[int, ...]:
-    """Up to four sizes, so that a dictionary that has grown little is not factorised with all of its empty rows."""
-    quarter = 8 * max(2, math.ceil(capacity / 32))
-    return (*range(quarter, capacity, quarter), capacity)
+    """A few sizes, so that a dictionary that has grown little is not factorised with all of its empty rows."""
+    parts = 4 if capacity <= 512 else 8
+    step = 8 * max(2, math.ceil(capacity / (8 * parts)))
+    return (*range(step, capacity, step), capacity)
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:

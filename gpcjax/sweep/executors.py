@@ -9,6 +9,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from gpcjax.envs.registry import on_host
 from gpcjax.sweep.environment import worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.store import CellRows
@@ -17,7 +18,10 @@ BATCH = 16
 """Cells handed out at once, at most."""
 
 JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time."""
+"""A program that another worker already runs must have this many cells left to be worth compiling a second time.
+
+Where the host simulates, a few are enough: their steps take longer than any compilation.
+"""
 
 
 @dataclasses.dataclass
@@ -35,6 +39,8 @@ class _Worker:
     connection: Connection
     process: subprocess.Popen[bytes]
     program: Program | None = None
+    given: int = 0
+    """Cells of this program that it has been given."""
     progress: Any = None
 
 
@@ -62,6 +68,7 @@ class Executors:
         self._programs: dict[Program, deque[Cell]] = {}
         for cell in cells:
             self._programs.setdefault(program_of(cell), deque()).append(cell)
+        self._sizes = {program: len(cells) for program, cells in self._programs.items()}
         self._baselines = deque(baselines)
         count = sum(map(len, self._programs.values()))
         self._jobs = max(1, min(jobs, count or 1))
@@ -103,8 +110,7 @@ class Executors:
                 worker.connection.send(answer)
                 return answer[0] != "stop"
             case ("next",):
-                assert worker.program is not None
-                worker.connection.send(("cells", self._next_cells(worker.program)))
+                worker.connection.send(("cells", self._next_cells(worker)))
             case ("rows", CellRows() as rows):
                 self._on_rows(rows)
             case ("baseline", name, numbers):
@@ -117,22 +123,29 @@ class Executors:
         return True
 
     def _next_program(self, worker: _Worker) -> tuple[Any, ...]:
-        worker.program = None
+        worker.program, worker.given = None, 0
         if self._baselines and worker is self._workers[-1]:
             return ("baseline", *self._baselines.popleft())
         taken = {other.program for other in self._workers}
         free = [key for key, cells in self._programs.items() if cells and key not in taken]
-        shared = [key for key, cells in self._programs.items() if len(cells) >= JOIN]
+        shared = [
+            key for key, cells in self._programs.items() if len(cells) >= (1 if on_host(key.env) else JOIN)
+        ]
         if not free and not shared:
             return ("stop",)
         # In order, but a worker that must share takes what has most left.
         worker.program = free[0] if free else max(shared, key=lambda key: len(self._programs[key]))
         return ("program", self._programs[worker.program][0])
 
-    def _next_cells(self, program: Program) -> list[Cell]:
-        cells = self._programs[program]
-        share = max(1, min(BATCH, len(cells) // (4 * self._jobs)))
-        return [cells.popleft() for _ in range(min(share, len(cells)))]
+    def _next_cells(self, worker: _Worker) -> list[Cell]:
+        assert worker.program is not None
+        cells = self._programs[worker.program]
+        share = min(max(1, min(BATCH, len(cells) // (4 * self._jobs))), len(cells))
+        if on_host(worker.program.env):
+            # Runs of minutes: a worker leaves the others their part, even where its first block could take it all.
+            share = min(share, -(-self._sizes[worker.program] // self._jobs) - worker.given)
+        worker.given += share
+        return [cells.popleft() for _ in range(share)]
 
     def _totals(self) -> Totals:
         done = [worker.progress for worker in self._workers if worker.progress is not None]
