@@ -13,6 +13,7 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.sweep.plan import specification_hash
+from gpcjax.sweep.runfolder import FORMAT
 from gpcjax.sweep.spec import as_dict, spec_of
 
 
@@ -26,7 +27,7 @@ def calls(monkeypatch, tmp_path):
         record.run.append((spec, out, jobs))
         if record.fails:
             raise record.fails
-        manifest = {"format": 1, "hash": specification_hash(spec), "specification": as_dict(spec)}
+        manifest = {"format": FORMAT, "hash": specification_hash(spec), "specification": as_dict(spec)}
         (out / "manifest.json").write_text(json.dumps(manifest))
         (out / "episodes").mkdir(exist_ok=True)
         (out / "episodes" / "0.parquet").touch()
@@ -141,7 +142,7 @@ def test_report_and_oracles(calls, capsys):
     assert cli.main(["oracles"]) == 0
     assert cli.main(["oracles", "--env", "pendulum,pendulum"]) == 0
     module = "gpcjax.sweep.oracles"
-    assert calls.built == [(module, "cartpole", "pendulum"), (module, "pendulum")]
+    assert calls.built == [(module, "cartpole", "pendulum", "lunarlander"), (module, "pendulum")]
 
 
 @pytest.mark.parametrize("words", [["--version"], ["version"]])
@@ -167,11 +168,10 @@ def test_nothing_prints_the_help(capsys):
 
 
 BAD = [
-    ("--env foo", "--env 'foo': give cartpole or pendulum"),
-    ("--env cartpol", "--env 'cartpol': give cartpole or pendulum (did you mean cartpole?)"),
-    ("--env lunarlander", "--env 'lunarlander': it cannot be swept yet, give cartpole or pendulum"),
-    ("--env=", "--env '': an empty value, give cartpole or pendulum"),
-    ("", "no env: give cartpole or pendulum"),
+    ("--env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
+    ("--env cartpol", "--env 'cartpol': give cartpole, pendulum or lunarlander (did you mean cartpole?)"),
+    ("--env=", "--env '': an empty value, give cartpole, pendulum or lunarlander"),
+    ("", "no env: give cartpole, pendulum or lunarlander"),
     ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns or coach"),
     ("--env cartpole --error 1.5", "--error 1.5: give a number from 0 to 1"),
     ("--env cartpole --error 0,nan", "--error nan: give a number from 0 to 1"),
@@ -183,7 +183,7 @@ BAD = [
     ("--env cartpole --seeds 2.5", "--seeds '2.5': give a whole number from 1"),
     ("--env cartpole --episodes -3", "--episodes -3: give a whole number from 1"),
     ("--env cartpole --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
-    ("--env cartpole --oracle energy", "--oracle 'energy': give gpc or lqr for cartpole"),
+    ("--env cartpole --oracle energy", "--oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr for cartpole"),
     ("--env cartpole --beta 0", "--beta 0: give a number above 0"),
     ("--env cartpole --algo gpc --beta 3", "--beta: with gpc alone it changes nothing, give it with coach"),
     ("--env cartpole --seeds 1000000", "3,000,000 cells: give fewer seeds or values"),
@@ -219,7 +219,7 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report .", "manifest.json: cannot be read (No such file or directory)"),
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
         ("report --out a", "'--out' is no flag: give --help"),
-        ("oracles --env foo", "--env 'foo': give cartpole or pendulum"),
+        ("oracles --env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
         ("oracles --evn foo", "'--evn' is no flag (did you mean --env?): give --env, --help"),
         ("--foo", "COMMAND is missing: see gpcjax --help"),
     ],
@@ -249,7 +249,7 @@ def test_a_mistake_with_another_command_is_one_line(words, message, calls, capsy
         ('env = "cartpole"\nsparsify = 1', "a.toml: sparsify 1: give true or false"),
         ('env = "pendulum"\noracle = "lqr"', "a.toml: oracle 'lqr': give gpc or energy for pendulum"),
         ('[sweep]\nenv = "pendulum"', "a.toml: 'sweep' is no setting"),
-        ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole or pendulum"),
+        ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole, pendulum or lunarlander"),
         ("\udcff", "a.toml: this is not a text file in UTF-8"),
     ],
 )
@@ -322,7 +322,7 @@ def test_the_module_is_the_command():
     command = [sys.executable, "-m", "gpcjax", "sweep", "--env", "foo"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=Path(gpcjax.__file__).parents[1])
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "gpcjax: error: --env 'foo': give cartpole or pendulum\n"
+    assert done.stderr == "gpcjax: error: --env 'foo': give cartpole, pendulum or lunarlander\n"
 
 
 def test_argparse_gives_no_help_with_a_percent_sign():

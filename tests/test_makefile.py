@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from gpcjax.envs.registry import env_names
 from gpcjax.sweep.options import OPTIONS
+from gpcjax.sweep.spec import as_dict, spec_of
 
 ROOT = Path(__file__).parents[1]
 VARIABLES = "ENV ERR ALGO SEEDS EPISODES ORACLE DELTA RATE LP LH OUT JOBS SPEC ARGS".split()
@@ -80,6 +82,19 @@ def test_other_targets(folder):
     ]
 
 
+def test_reproduce(folder):
+    assert make(folder, "reproduce").returncode == 0
+    assert make(folder, "reproduce", "QUICK=0", "JOBS=2").returncode == 0
+    words = "QUICK=1", "ONLY=pendulum,active", "OUT=my runs"
+    assert make(folder, "reproduce", *words).returncode == 0
+    start = ["-m", "gpcjax", "reproduce"]
+    assert called(folder) == [
+        start,
+        [*start, "--jobs=2"],
+        [*start, "--quick", "--only=pendulum,active", "--out=my runs"],
+    ]
+
+
 @pytest.mark.parametrize(
     "value", ["it's", "a b", "$HOME", "$(touch bad)", "`touch bad`", "a; touch bad", '"', "*", ""]
 )
@@ -102,6 +117,8 @@ def test_a_line_break_starts_no_command(folder):
         (["EVN=cartpole"], "EVN"),
         (["report", "ERR=0"], "ERR"),
         (["test", "OUT=a"], "OUT"),
+        (["sweep", "QUICK=1"], "QUICK"),
+        (["reproduce", "SEEDS=3"], "SEEDS"),
         (["lint", "ARGS=a"], "ARGS"),
     ],
 )
@@ -125,9 +142,9 @@ def test_the_environment_is_not_asked(folder):
 def test_help_lists_every_target_and_variable(folder):
     listed = make(folder)
     assert listed.stdout == make(folder, "help").stdout
-    for target in "help sweep grid report oracles bench test lint format lock clean".split():
+    for target in "help sweep grid report reproduce oracles bench test lint format lock clean".split():
         assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)
-    for name in [*VARIABLES, "PYTHON"]:
+    for name in [*VARIABLES, "QUICK", "ONLY", "PYTHON"]:
         assert re.search(rf"^  (\w+, )?{name}\b", listed.stdout, re.MULTILINE)
     assert not called(folder)
 
@@ -141,8 +158,16 @@ def test_help_tells_the_defaults_of_the_command_line():
     for variable, flag in pairs:
         option = OPTIONS[flag.replace("-", "_")]
         line = re.search(rf"^#:   (?:\w+, )?{variable}\b.*$", text, re.MULTILINE)[0]
-        if option.otherwise:
-            assert f"({option.otherwise})".replace(", ", " and ") in line.replace(", ", " and ")
+        if option.name in ("episodes", "oracle"):
+            told = re.search(r"\((.*)\)", line)[1].replace(", ", "; ").split("; ")
+            defaults = dict(reversed(entry.split(" for ")) for entry in told if " for " in entry)
+            elsewhere = [entry for entry in told if " for " not in entry]
+            for env in env_names():
+                value = as_dict(spec_of(env=env))[option.name]
+                value = value[0] if isinstance(value, list) else value
+                assert [str(value)] == ([defaults[env]] if env in defaults else elsewhere)
+        elif option.otherwise:
+            assert f"({option.otherwise})" in line
         elif option.default is not None and variable != "ALGO":
             value = option.default[0] if isinstance(option.default, tuple) else option.default
             assert f"({str(value).removesuffix('.0')})" in line
@@ -166,9 +191,10 @@ def test_an_old_python_or_one_without_venv_is_refused_in_one_sentence(folder):
     assert "No module" not in done.stderr
 
 
-def test_a_mistake_in_a_sweep_is_told_before_the_setting_up(folder):
+@pytest.mark.parametrize("words", [("sweep", "ENV=foo"), ("reproduce", "ONLY=foo")], ids=" ".join)
+def test_a_mistake_is_told_before_the_setting_up(folder, words):
     shutil.rmtree(folder / ".venv")
-    done = make(folder, "sweep", "ENV=foo", fake_python(folder, 'case "$*" in *--dry-run*) exit 2;; esac'))
+    done = make(folder, *words, fake_python(folder, 'case "$*" in *--dry-run*) exit 2;; esac'))
     assert done.returncode == 2
     assert "setting up" not in done.stdout
     assert not (folder / ".venv").exists()

@@ -110,17 +110,17 @@ def _folded(title: str, sheets: list[Sheet]) -> list[str]:
 
 
 def table(sheet: Sheet) -> str:
-    """A sheet; columns of words are set to the left."""
-    words_at = [column in tables.WORD_COLUMNS for column in sheet.columns]
+    """A sheet; columns of words and sentences are set to the left."""
+    kinds = [_kind(column) for column in sheet.columns]
     head = "".join(
-        f"<th{_left(word)}>{escape(name)}</th>" for name, word in zip(sheet.columns, words_at, strict=True)
+        f"<th{_class(kind)}>{escape(name)}</th>" for name, kind in zip(sheet.columns, kinds, strict=True)
     )
     rows = []
     for index, row in enumerate(sheet.rows):
         attribute = ' class="end"' if index in sheet.breaks else ""
         cells = "".join(
-            f"<td{_left(word)}>{escape(cell if word else cell.replace('-', '−'))}</td>"  # noqa: RUF001
-            for cell, word in zip(row, words_at, strict=True)
+            f"<td{_class(kind)}>{escape(cell if kind else cell.replace('-', '−'))}</td>"  # noqa: RUF001
+            for cell, kind in zip(row, kinds, strict=True)
         )
         rows.append(f"<tr{attribute}>{cells}</tr>")
     caption = escape(sheet.title[0].upper() + sheet.title[1:])
@@ -130,8 +130,15 @@ def table(sheet: Sheet) -> str:
     )
 
 
-def _left(word: bool) -> str:
-    return ' class="word"' if word else ""
+def _kind(column: str) -> str:
+    """How a column is set: "word", "prose", or nothing for numbers."""
+    if column in tables.PROSE_COLUMNS:
+        return "prose"
+    return "word" if column in tables.WORD_COLUMNS else ""
+
+
+def _class(kind: str) -> str:
+    return f' class="{kind}"' if kind else ""
 
 
 def picture(picture: Picture) -> str:
@@ -236,7 +243,9 @@ caption { text-align: left; font-weight: 600; padding-bottom: .5rem; }
 th { font-weight: 600; text-align: right; padding: .35rem .9rem; border-top: 1.5px solid var(--ink);
   border-bottom: 1px solid var(--ink); }
 td { text-align: right; padding: .22rem .9rem; }
-th.word, td.word { text-align: left; }
+th.word, td.word, th.prose, td.prose { text-align: left; }
+td { vertical-align: top; }
+td.prose { white-space: normal; min-width: 11rem; }
 th:first-child, td:first-child { padding-left: .2rem; }
 tr.end td { border-bottom: 1px solid var(--line); padding-bottom: .4rem; }
 tr.end + tr td { padding-top: .4rem; }

@@ -21,8 +21,11 @@ MOST_ROWS = 60
 
 CLOSED = f"{100 * CLOSED_GAP:.0f}%"
 
-WORD_COLUMNS = ("error", "algo", "difference")
+WORD_COLUMNS = ("error", "algo", "difference", "section", "condition", "holds", "experiment")
 """Columns that are set to the left; the others hold numbers."""
+
+PROSE_COLUMNS = ("claim", "statistic", "verdict")
+"""Columns of sentences, to the left too, in as many lines as they need."""
 
 
 @dataclass(frozen=True)

@@ -54,28 +54,87 @@ def page(
 
 def markdown(claims: Mapping[str, Sequence[Claim]]) -> str:
     """The claims as a table for a README, a row each."""
-    lines = [
-        "| section | claim | verdict | statistic | estimate [95 % interval] | n |",
-        "|---|---|---|---|---|---|",
+    head = "section", "claim", "verdict", "estimate [95 % interval]", "n"
+    return _markdown_table(
+        head,
+        [
+            (claim.section, claim.text, _emphasised(claim), _estimates(claim), _numbers(claim))
+            for claim in _all(claims)
+        ],
+    )
+
+
+def markdown_report(
+    claims: Mapping[str, Sequence[Claim]],
+    captions: Mapping[str, Mapping[str, str]],
+    results: Results,
+    commands: Sequence[str],
+) -> str:
+    """The report as Markdown: `captions` are by part and name of the figure, which lies beside as figures/NAME.png."""
+    runs = _runs(results)
+    manifests = [experiment.study.manifest for experiment in results.values()]
+    parts = [
+        "# The thesis, reproduced",
+        "What `make reproduce` makes of every experiment in D. Wout, *Policy Learning with Human Teachers*, that "
+        "needs no person. This page, its figures and `claims.csv` are its output.",
+        "## Claims",
+        _counted(list(_all(claims))),
+        *READING,
+        _markdown_table(
+            ("section", "claim", "verdict", "statistic", "estimate [95 % interval]", "n"),
+            [
+                (
+                    claim.section,
+                    claim.text,
+                    _emphasised(claim),
+                    claim.statistic,
+                    _estimates(claim),
+                    _numbers(claim),
+                )
+                for claim in _all(claims)
+            ],
+        ),
     ]
-    for claim in (claim for each in claims.values() for claim in each):
-        estimates = "; ".join(
-            _estimate(test.condition, test.shown, len(claim.tests)) for test in _some(claim)
-        )
-        verdict = claim.verdict if claim.verdict == HOLDS else f"**{_shortened(claim)}**"
-        cells = (claim.section, claim.text, verdict, claim.statistic, estimates, _numbers(claim))
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    for part, figures in captions.items():
+        parts.append(f"## {PARTS[part].title}")
+        parts += [f"![{name}](figures/{name}.png)\n\n{caption}" for name, caption in figures.items()]
+    parts += [
+        "## What differs from the thesis",
+        "\n".join(f"- **{name}**: {text}" for name, text in CHANGES.items()),
+        "## What was run",
+        "\n".join(f"    {command}" for command in commands),
+        _markdown_table(runs.columns, runs.rows),
+        "\n".join(
+            f"- {title}: " + "; ".join(f"{name} {value}" for name, value in manifests[0][key].items())
+            for title, key in (("Machine", "machine"), ("Versions", "versions"))
+            if manifests
+        ),
+    ]
+    return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
+
+
+def _markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+
+
+def _all(claims: Mapping[str, Sequence[Claim]]) -> Iterable[Claim]:
+    return (claim for each in claims.values() for claim in each)
+
+
+def _emphasised(claim: Claim) -> str:
+    return claim.verdict if claim.verdict == HOLDS else f"**{_shortened(claim)}**"
+
+
+def _estimates(claim: Claim) -> str:
+    return "; ".join(_estimate(test.condition, test.shown, len(claim.tests)) for test in _some(claim))
 
 
 READING = (
     "A claim holds where the 95 % bootstrap interval of its statistic lies wholly on the claimed side, under each "
-    "of the "
-    "conditions that are named; with fewer runs intervals are wider, and fewer claims can be shown to hold. "
-    "Differences "
-    "are between runs of the same seed, which have the same starts and the same draws of the teacher. Final return: "
-    "mean "
-    "of a run's last five episodes. Area: mean return of an episode. n: runs, or pairs of runs.",
+    "of the conditions that are named; with fewer runs intervals are wider, and fewer claims can be shown to hold. "
+    "Differences are between runs of the same seed, which have the same starts and the same draws of the teacher. "
+    "Final return: mean of a run's last five episodes. Area: mean return of an episode. n: runs, or pairs of runs.",
     "Nothing is corrected for the number of tests.",
 )
 

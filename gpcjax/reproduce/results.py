@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,7 @@ class Experiment:
         (group,) = self.study.groups
         return group
 
+    @cached_property
     def summary(self) -> Summary:
         """Its numbers, for the figures of a sweep's report."""
         return summarise(self.study)

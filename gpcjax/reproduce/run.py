@@ -14,6 +14,7 @@ from gpcjax.report.tables import Sheet, result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import Claim, claims
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS, check
+from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
@@ -57,8 +58,8 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
 def draw(out: Path, quick: bool) -> Path:
     """Writes figures, claims and the page from what `out` holds."""
     results = _results(out)
-    drawn = _figures(out, results)
-    tested = claims(results)
+    shown = records.read(out / ILLUSTRATIONS) if (out / ILLUSTRATIONS).exists() else None
+    tested, drawn = claims(results, shown), _figures(results, shown)
     pictures: dict[str, list[Picture]] = {}
     for (part, name), (figure, alternative, caption) in drawn.items():
         svg = style.image(figure, "svg")
@@ -70,6 +71,10 @@ def draw(out: Path, quick: bool) -> Path:
     command = "make reproduce" + (" QUICK=1" if quick else "")
     write_atomic(out / "claims.csv", _csv(tested))
     write_atomic(out / "claims.md", page.markdown(tested))
+    captions: dict[str, dict[str, str]] = {}
+    for (part, name), (_, _, caption) in drawn.items():
+        captions.setdefault(part, {})[name] = caption
+    write_atomic(out / "report.md", page.markdown_report(tested, captions, stored, [command]))
     report = out / "report.html"
     write_atomic(report, page.page(tested, pictures, _sheets(results), stored, [command], quick))
     return report
@@ -103,11 +108,13 @@ def _results(out: Path) -> dict[str, Experiment]:
     return results
 
 
-def _figures(out: Path, results: Mapping[str, Experiment]) -> dict[tuple[str, str], tuple[Figure, str, str]]:
+def _figures(
+    results: Mapping[str, Experiment], shown: Illustrations | None
+) -> dict[tuple[str, str], tuple[Figure, str, str]]:
     """By part and name of the file: the figure, what it shows in a few words, and its caption."""
     drawn: dict[tuple[str, str], tuple[Figure, str, str]] = {}
-    if (out / ILLUSTRATIONS).exists():
-        drawn |= {("illustrations", name): figure for name, figure in _illustrations(out / ILLUSTRATIONS)}
+    if shown is not None:
+        drawn |= {("illustrations", name): figure for name, figure in _illustrations(shown)}
     for part, number in (("pendulum", "5.1"), ("cartpole", "5.4"), ("lander", "5.5")):
         if part in results:
             experiment = results[part]
@@ -115,22 +122,19 @@ def _figures(out: Path, results: Mapping[str, Experiment]) -> dict[tuple[str, st
                 figures.returns(experiment),
                 f"Fig. {number}",
                 f"Fig. {number}: return against episode at each error rate ({_runs(experiment)}). Strong lines: "
-                f"walking "
-                "mean of 3 episodes of the mean over runs, with its 95 % interval; faint lines: the mean itself. "
-                "Dashed: "
-                "the oracle, with one standard deviation; dotted: the idle policy.",
+                "walking mean of 3 episodes of the mean over runs, with its 95 % interval; faint lines: the mean "
+                "itself. Dashed: the oracle, with one standard deviation; dotted: the idle policy.",
             )
     if "pendulum" in results:
         drawn["pendulum", "fig5_2_learning_rates"] = (
             figures.rates(results["pendulum"]),
             "Fig. 5.2",
-            f"Fig. 5.2: learning rate of the first 150 corrections ({_runs(results['pendulum'])}): medians over "
-            f"runs with "
-            "95 % intervals, as COACH's rate is unbounded; below, normalised as in the paper's Fig. 6, each curve "
-            "(a walking "
-            "mean of 5) by its largest value. A line ends where fewer than half of the runs have so many corrections.",
+            f"Fig. 5.2: learning rate of the first 150 corrections ({_runs(results['pendulum'])}): walking mean of "
+            "3 of the mean over runs, with its 95 % interval, over the mean itself; below, normalised as in the "
+            "paper's Fig. 6, each by its largest value. A line ends where fewer than half of the runs have so many "
+            "corrections.",
         )
-    for stem, setting in ABLATIONS.items():
+    for stem, (_, setting) in ABLATIONS.items():
         rows = {row: results[f"{stem}_{row}"] for row in ROWS if f"{stem}_{row}" in results}
         if len(rows) == len(ROWS):
             what = f"the rows of Table 5.4 with {setting}; cart-pole, 10 % error ({_runs(rows['i'])} each)"
@@ -139,30 +143,27 @@ def _figures(out: Path, results: Mapping[str, Experiment]) -> dict[tuple[str, st
                 figures.ablation(rows),
                 "Fig. 5.7",
                 f"Fig. 5.7: {what}. Return and feedback of each episode, walking means of 3 with 95 % intervals "
-                f"over the raw "
-                "means; and the chance of advice that the teacher offered, which in iii and iv is that of i and ii.",
+                "over the raw means; and the chance of advice that the teacher offered, which in iii and iv is "
+                "that of i and ii.",
             )
             drawn["active", f"fig5_8_ablation_rates{name}"] = (
                 figures.ablation_rates(rows),
                 "Fig. 5.8",
                 f"Fig. 5.8: learning rate of each correction, {what}. Walking means of 3 with 95 % intervals over "
-                f"the raw "
-                "means.",
+                "the raw means.",
             )
     if "oracles_cartpole" in results:
         drawn["oracles", "oracles_cartpole"] = (
             figures.dependence(results["oracles_cartpole"]),
             "Dependence on oracle and delta",
-            f"Cart-pole: differences in area on the same seeds, mean with 95 % interval "
+            "Cart-pole: differences in area on the same seeds, mean with 95 % interval "
             f"({_runs(results['oracles_cartpole'])} each), for four oracles and four distances delta within which "
-            f"they are "
-            "silent.",
+            "they are silent.",
         )
     return drawn
 
 
-def _illustrations(path: Path) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
-    shown = records.read(path)
+def _illustrations(shown: Illustrations) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
     yield (
         "fig2_2_hyperparameters",
         (
@@ -177,8 +178,7 @@ def _illustrations(path: Path) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
             sketches.situations(shown.situations),
             "Fig. 3.2",
             "Fig. 3.2: a policy over one state dimension and the uncertainty of its human model, through two "
-            "corrections at "
-            "x = 0 and a step without any.",
+            "corrections at x = 0 and a step without any.",
         ),
     )
     yield (
@@ -195,8 +195,7 @@ def _illustrations(path: Path) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
             sketches.sparsification(shown.sparsification),
             "Fig. 3.4",
             "Fig. 3.4: the action at one state under repeated advice, with plain appending, which averages all "
-            "targets, and "
-            "with SPARS, which follows them.",
+            "targets, and with SPARS, which follows them.",
         ),
     )
     yield (
@@ -205,8 +204,7 @@ def _illustrations(path: Path) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
             sketches.late_plane(shown.late),
             "Fig. 5.3",
             "Fig. 5.3: policy, its uncertainty and that of the human model over the pendulum's state space, after "
-            "40 episodes "
-            "without errors.",
+            "40 episodes without errors.",
         ),
     )
     yield (
@@ -215,17 +213,15 @@ def _illustrations(path: Path) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
             sketches.erroneous(shown.erroneous),
             "Fig. 5.9",
             "Fig. 5.9: one wrong advice among right ones, with a short and a long length-scale of the human model. "
-            "Right: how "
-            "many right ones it takes until the action is back, over length-scales. That a long one needs more "
-            "shows for "
-            "GPC-NS, and not for GPC.",
+            "Right: how many right ones it takes until the action is back, over length-scales. That a long one "
+            "needs more shows for GPC-NS, and not for GPC.",
         ),
     )
 
 
 def _sheets(results: Mapping[str, Experiment]) -> dict[str, Sequence[Sheet]]:
     return {
-        part: result_sheets(results[part].summary())
+        part: result_sheets(results[part].summary)
         for part in ("pendulum", "cartpole", "lander")
         if part in results
     }

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-LEVELS = {"cartpole": (40.0, 2500.0), "pendulum": (-1200.0, -150.0)}
+LEVELS = {"cartpole": (40.0, 2500.0), "pendulum": (-1200.0, -150.0), "lunarlander": (-130.0, 250.0)}
 """Return of the idle policy and of the oracle."""
 
 SPEED = {"gpc": 0.45, "gpc-ns": 0.3, "coach": 0.12}
@@ -49,6 +49,8 @@ def episodes(
                         "length": np.int32(200),
                         "corrections": random.poisson(20 * np.exp(-speed * episode)).astype(np.int32),
                         "mean_rate": random.uniform(0.05, 0.4, length),
+                        "asked": np.int32(10),
+                        "chance": 0.05,
                         "policy_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
                         "human_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
                         "clipped": random.binomial(200, 0.02, length).astype(np.int32),
@@ -108,7 +110,7 @@ def manifest(frame: pd.DataFrame, varying: Sequence[str] = (), **changes: Any) -
     settings = {name: sorted(set(frame[name].dropna())) for name in varying}
     cells = frame.drop_duplicates(["algo", "oracle", "error", "seed", *varying])
     return {
-        "format": 1,
+        "format": 2,
         "specification": {
             "env": env,
             "algo": [algo for algo in SPEED if algo in set(frame["algo"])],
@@ -118,6 +120,7 @@ def manifest(frame: pd.DataFrame, varying: Sequence[str] = (), **changes: Any) -
             "oracle": list(dict.fromkeys(frame["oracle"])),
             "delta": [0.05],
             "rate": [0.05],
+            "rate_schedule": [],
             "sparsify": True,
             "on_full": "error",
             "max_capacity": 1024,

@@ -5,8 +5,17 @@ import sys
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.plan import count, default_out, plan, specification_hash, varying
-from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.build import start_of
+from gpcjax.sweep.plan import (
+    canonical,
+    count,
+    default_out,
+    plan,
+    program_of,
+    specification_hash,
+    varying,
+)
+from gpcjax.sweep.spec import as_dict, spec_of
 
 
 def test_the_main_job():
@@ -91,6 +100,7 @@ def test_hash_does_not_see_order_or_repeats():
         {"oracle": "lqr"},
         {"delta": 0.1},
         {"rate": 0.1},
+        {"rate_schedule": [0.05]},
         {"noise": 1e-7},
         {"sparsify": False},
         {"on_full": "drop"},
@@ -109,7 +119,44 @@ def test_hash_is_the_same_in_another_process():
         "print(specification_hash(spec_of(env='cartpole', error=[0, 0.1])))"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert printed.strip() == specification_hash(spec_of(env="cartpole", error=[0, 0.1])) == "aa09ff4b5f19"
+    assert printed.strip() == specification_hash(spec_of(env="cartpole", error=[0, 0.1])) == "daa42ad33b9f"
+
+
+class TestRateSchedule:
+    """One value for all cells, however long: its order is its meaning."""
+
+    def test_its_order_and_repeats_are_kept_and_count(self):
+        falling, rising, shorter = (
+            spec_of(env="cartpole", rate_schedule=rates)
+            for rates in ([0.5, 0.1, 0.1], [0.1, 0.1, 0.5], [0.5, 0.1])
+        )
+        assert falling.rate_schedule == (0.5, 0.1, 0.1)
+        assert len({specification_hash(spec) for spec in (falling, rising, shorter)}) == 3
+        assert canonical(as_dict(falling))["rate_schedule"] == [0.5, 0.1, 0.1]
+
+    def test_it_makes_no_more_cells(self):
+        spec = spec_of(env="cartpole", algo="gpc,coach", seeds=2, rate_schedule=[0.5, 0.1])
+        cells = plan(spec)
+        assert len(cells) == count(spec) == 4 and varying(spec) == []
+        assert {cell.rate_schedule for cell in cells} == {(0.5, 0.1)}
+
+    def test_it_has_a_program_of_its_own_whatever_its_numbers(self):
+        one, other, none = (
+            program_of(plan(spec_of(env="cartpole", algo="gpc", seeds=1, **settings))[0])
+            for settings in ({"rate_schedule": 0.5}, {"rate_schedule": [0.2, 0.1]}, {})
+        )
+        assert one == other and one.scheduled and not none.scheduled
+        assert one._replace(scheduled=False) == none
+
+    @pytest.mark.parametrize(
+        ("rates", "expected"),
+        [([0.5], [0.5] * 4), ([0.5, 0.1], [0.5, 0.1, 0.1, 0.1]), ([0.5, 0.1, 0.2, 0.3, 0.9], [0.5, 0.1, 0.2, 0.3])],
+        ids=["one", "shorter", "longer"],
+    )  # fmt: skip
+    def test_the_teacher_has_a_chance_for_each_episode(self, rates, expected):
+        """The last one from then on; what no episode needs is left out."""
+        cell = plan(spec_of(env="cartpole", algo="coach", seeds=1, episodes=4, rate_schedule=rates))[0]
+        assert start_of(cell).teacher.schedule.tolist() == expected
 
 
 def test_default_folder():

@@ -74,7 +74,7 @@ def test_a_whole_sweep(tmp_path, pretend):
     assert pretended.calls == [(plan(SPEC), [("cartpole", "idle"), ("cartpole", "lqr")], 3)]
     assert len(read_episodes(out)) == 12
     written = manifest(out)
-    assert written["complete"] and written["cells"] == 4 and written["jobs"] == 3 and written["format"] == 1
+    assert written["complete"] and written["cells"] == 4 and written["jobs"] == 3 and written["format"] == 2
     assert written["baselines"] == {"idle": BASELINE, "oracles": {"lqr": BASELINE}}
     assert written["specification"]["error"] == [0, 0.1] and written["varying"] == []
     assert written["env_steps"] == 40 and written["compile_time_s"] == 2.0
@@ -217,7 +217,7 @@ class TestOtherVersions:
         ({"env": "cartpol"}, "env 'cartpol'"),
         ({"error": 1.5}, "error 1.5"),
         ({"seeds": 0}, "seeds 0"),
-        ({"oracle": "energy"}, "oracle .*'energy'.*: give gpc or lqr for cartpole"),
+        ({"oracle": "energy"}, "oracle .*'energy'.*: give gpc or gpc-2 or gpc-3 or lqr for cartpole"),
         ({"nosie": 1}, "'nosie' is no setting .did you mean noise"),
     ],
 )

@@ -25,6 +25,8 @@ EPISODE_COLUMNS = {
     "length": "int32",
     "corrections": "int32",
     "mean_rate": "float64",
+    "asked": "int32",
+    "chance": "float64",
     "policy_points": "int32 or null",
     "human_points": "int32 or null",
     "clipped": "int32",
@@ -53,6 +55,7 @@ def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
         for i, name in enumerate(("length", "policy_points", "human_points", "clipped", "full"))
     }
     measured = {"returns": mark + counts, "corrections": counts, "rate_sum": 0.5 * counts, **integers}
+    measured |= {"asked": 2 * counts, "chance_sum": 0.25 * counts}
     sigmas = [np.nan, np.nan] if cell.algo == "coach" else [0.2, 0.3]
     log = {
         "where": np.array([[0, step, 0] for step in range(corrections)], np.int32).reshape(-1, 3),
@@ -105,7 +108,7 @@ class TestReading:
         assert frame["appended"].all() and not frame["replaced"].any()
 
     def test_what_does_not_exist_is_null(self, tmp_path):
-        """No dictionary and no sigma of COACH, no rate of an episode without corrections."""
+        """No dictionary and no sigma of COACH, no rate without corrections, no chance where none was worked out."""
         filled(tmp_path)
         episodes, corrections = read_episodes(tmp_path), read_corrections(tmp_path)
         coach = episodes["algo"] == "coach"
@@ -113,6 +116,8 @@ class TestReading:
             assert (episodes[name].isna() == coach).all()
         assert (episodes["mean_rate"].isna() == (episodes["corrections"] == 0)).all()
         assert set(episodes["mean_rate"].dropna()) == {0.5}
+        assert (episodes["chance"].isna() == (episodes["asked"] == 0)).all()
+        assert set(episodes["chance"].dropna()) == {0.125} and set(episodes["asked"]) == {0, 2, 4}
         schema = pq.read_schema(next((tmp_path / "episodes").iterdir()))
         assert all(schema.field(name).type == "int32" for name in ("policy_points", "human_points"))
         for name in ("sigma_policy", "sigma_human"):

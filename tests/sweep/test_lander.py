@@ -1,0 +1,64 @@
+"""A small real sweep of the lunar lander, which the host simulates: the same rows however they came about."""
+
+import json
+import signal
+
+import pytest
+
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.store import read_corrections, read_episodes
+from tests.sweep.test_sweeps import alive, assert_the_same_rows, process, wait_for, workers_of
+
+SETTINGS = {"env": "lunarlander", "algo": ["gpc", "coach"], "seeds": 2, "episodes": 2}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The sweep in one process, never interrupted."""
+    return sweep(tmp_path_factory.mktemp("reference") / "out", jobs=1, **SETTINGS)
+
+
+def test_what_it_holds(reference):
+    frame, corrections = read_episodes(reference), read_corrections(reference)
+    assert frame[["algo", "seed", "episode"]].values.tolist() == [
+        [algo, seed, episode] for algo in SETTINGS["algo"] for seed in (0, 1) for episode in (1, 2)
+    ]
+    assert set(frame["oracle"]) == {"heuristic"} and set(frame["status"]) == {"ok"}
+    assert frame["return"].nunique() == len(frame) and frame["length"].between(50, 1000).all()
+    # Both actions are advised, at a step where either coin allows it.
+    assert set(corrections["action_dim"]) == {0, 1} and len(corrections) == frame["corrections"].sum()
+    assert frame["asked"].gt(0).all() and (frame["corrections"] <= 2 * frame["asked"]).all()
+    assert frame["chance"].to_numpy() == pytest.approx(0.05)
+    # Every learner of a seed begins alike: the same start, the same coins.
+    first = corrections.groupby(["algo", "seed"]).first()[["episode", "step", "action_dim"]]
+    assert first.loc["gpc"].equals(first.loc["coach"])
+
+
+def test_the_manifest(reference):
+    manifest = json.loads((reference / "manifest.json").read_text())
+    assert manifest["complete"] and manifest["specification"]["max_capacity"] == 4096
+    assert manifest["env_steps"] == read_episodes(reference)["length"].sum()
+    idle, oracle = manifest["baselines"]["idle"], manifest["baselines"]["oracles"]["heuristic"]
+    assert idle["n"] == oracle["n"] == 100 and idle["mean"] < -100 and oracle["mean"] > 200
+
+
+def test_two_processes(reference, tmp_path):
+    assert_the_same_rows(sweep(tmp_path / "out", jobs=2, **SETTINGS), reference)
+
+
+def test_killed_and_resumed(reference, tmp_path):
+    """kill -9 after the first rows: what is missing runs later, what was there stays as it was."""
+    out = tmp_path / "out"
+    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{SETTINGS!r})"
+    with process(["-c", script], tmp_path) as running:
+        wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
+        workers = workers_of(running.pid)
+        running.kill()
+        assert running.wait() == -signal.SIGKILL, (tmp_path / "stderr").read_text()
+        wait_for(lambda: not any(map(alive, workers)))
+    assert len(workers) == 1
+    before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
+    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
+    sweep(out, **SETTINGS)
+    assert_the_same_rows(out, reference)
+    assert all(path.read_bytes() == content for path, content in before.items())
