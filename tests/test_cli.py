@@ -154,7 +154,9 @@ def test_version(words, capsys):
     assert capsys.readouterr().out == f"gpcjax {gpcjax.__version__}\n"
 
 
-@pytest.mark.parametrize("words", [[], ["sweep"], ["grid"], ["report"], ["oracles"], ["version"]])
+@pytest.mark.parametrize(
+    "words", [[], ["sweep"], ["grid"], ["report"], ["oracles"], ["reproduce"], ["version"]]
+)
 def test_help(words, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([*words, "--help"])
@@ -220,6 +222,19 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
         ("report --out a", "'--out' is no flag: give --help"),
         ("oracles --env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
+        (
+            "reproduce --only foo",
+            "--only 'foo': give illustrations, pendulum, cartpole, active, oracles, lander",
+        ),
+        (
+            "reproduce --only pendulm",
+            "--only 'pendulm': give illustrations, pendulum, cartpole, active, oracles",
+        ),
+        ("reproduce --only=", "--only '': give illustrations, pendulum"),
+        ("reproduce --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
+        ("reproduce --seeds 3", "'--seeds' is no flag"),
+        ("reproduce --sweeps none", "none/fig5_1_pendulum.toml: cannot be read (No such file or directory)"),
+        ("reproduce a", "'a' is one value too many: see gpcjax reproduce --help"),
         ("oracles --evn foo", "'--evn' is no flag (did you mean --env?): give --env, --help"),
         ("--foo", "COMMAND is missing: see gpcjax --help"),
     ],

@@ -1,61 +1,34 @@
-"""What the thesis claims of its results, each claim with the statistic that tests it. Loads no jax.
+"""What the thesis claims of its results, each claim with the statistic that tests it. Loads no jax."""
 
-A claim is tested under one condition or several (an error rate each, most often). A test holds where the 95 % interval
-of its statistic lies wholly on the claimed side; "alike" means within a margin, wholly. Differences are between runs of
-the same seed. Nothing is corrected for the number of tests.
-"""
-
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from gpcjax.report import words
-from gpcjax.report.groups import Group, unique
-from gpcjax.report.statistics import Interval, Scores, mean_interval, paired_difference
+from gpcjax.report.groups import unique
+from gpcjax.report.statistics import Scores, paired_difference
 from gpcjax.reproduce.parts import ABLATIONS, ROWS
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import EARLY, Experiment, Results, early, scaled
-
-ALIKE = 0.05
-"""Two returns are alike within this part of the gap from idle to oracle."""
-
-HOLDS, FAILS = "holds", "does not hold"
-
-
-@dataclass(frozen=True)
-class Test:
-    """A statistic under one condition: `verdict` is whether the claim holds there."""
-
-    condition: str
-    value: Interval
-    runs: int
-    verdict: bool
-    decimals: int = 0
-
-    @property
-    def shown(self) -> str:
-        """The estimate with its interval."""
-        return words.interval(self.value, self.decimals)
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim: where it stands, what it says, what tests it."""
-
-    section: str
-    text: str
-    statistic: str
-    tests: tuple[Test, ...]
-
-    @property
-    def verdict(self) -> str:
-        """Holds, holds under some of the conditions, or does not hold."""
-        holding = [test.condition for test in self.tests if test.verdict]
-        if len(holding) == len(self.tests):
-            return HOLDS
-        return f"{HOLDS} at {', '.join(holding)}" if holding else FAILS
+from gpcjax.reproduce.verdicts import (
+    ALIKE,
+    Claim,
+    Test,
+    above,
+    alike,
+    area_of,
+    average,
+    change_of_difference,
+    closed,
+    each_error,
+    exactly,
+    mean,
+    mean_test,
+    minus,
+    outperforms,
+    test,
+)
 
 
 def claims(results: Results, illustrations: Illustrations | None = None) -> dict[str, list[Claim]]:
@@ -89,7 +62,7 @@ def _illustrated(shown: Illustrations) -> list[Claim]:
             "Appended points make the action the average of all targets; with SPARS it follows the last one",
             "largest distance of the action from that, over twelve corrections at one state; below 0.001",
             tuple(
-                _test(name, _exactly(value), 1, lambda i: i.estimate < 1e-3, 5)
+                test(name, exactly(value), 1, lambda i: i.estimate < 1e-3, 5)
                 for name, value in zip(("appending", "SPARS"), behind.tolist(), strict=True)
             ),
         ),
@@ -98,9 +71,9 @@ def _illustrated(shown: Illustrations) -> list[Claim]:
             "Around the upright rest sigma_h is reduced, so that refinements are small",
             "mean sigma_h of the taught policy's actions within 0.4 rad and 1.5 rad/s of it, less that elsewhere",
             (
-                _test(
+                test(
                     "40 episodes",
-                    _exactly(float(sigma[upright].mean() - sigma[~upright].mean())),
+                    exactly(float(sigma[upright].mean() - sigma[~upright].mean())),
                     1,
                     lambda i: i.estimate < 0,
                     3,
@@ -113,9 +86,9 @@ def _illustrated(shown: Illustrations) -> list[Claim]:
             f"right advices until the action is back, l_h = {erroneous.length_scales[1]:g} less "
             f"{erroneous.length_scales[0]:g}, the {erroneous.wrong}rd advice wrong",
             tuple(
-                _test(
+                test(
                     words.algorithm(str(algo)),
-                    _exactly(float(samples[1] - samples[0])),
+                    exactly(float(samples[1] - samples[0])),
                     1,
                     lambda i: i.estimate > 0,
                 )
@@ -125,19 +98,15 @@ def _illustrated(shown: Illustrations) -> list[Claim]:
     ]
 
 
-def _exactly(value: float) -> Interval:
-    return Interval(value, np.nan, np.nan)
-
-
 def _pendulum(experiment: Experiment) -> list[Claim]:
-    area, margin = _area(experiment), ALIKE * experiment.gap
+    area, margin = area_of(experiment), ALIKE * experiment.gap
     errors = experiment.study.errors
-    loss = _change_of_difference(experiment, errors)
+    loss = change_of_difference(experiment, errors)
     last = errors[-1]
     return [
-        *_outperforms("5.1.1", experiment, "gpc", "coach"),
-        *_outperforms("5.1.1", experiment, "gpc-ns", "coach"),
-        _alike(
+        *outperforms("5.1.1", experiment, "gpc", "coach"),
+        *outperforms("5.1.1", experiment, "gpc-ns", "coach"),
+        alike(
             "5.1.1",
             "GPC and GPC-NS behave alike",
             experiment,
@@ -150,12 +119,12 @@ def _pendulum(experiment: Experiment) -> list[Claim]:
             "5.1.1",
             "GPC's learning curve is steeper than COACH's at the beginning",
             f"GPC - COACH, mean return of the first {EARLY} episodes",
-            _each(
+            each_error(
                 experiment,
-                lambda e: _above(early(experiment.group("gpc", e)), early(experiment.group("coach", e))),
+                lambda e: above(early(experiment.group("gpc", e)), early(experiment.group("coach", e))),
             ),
         ),
-        _alike(
+        alike(
             "5.1.1",
             "GPC's and COACH's final performance is similar",
             experiment,
@@ -168,7 +137,7 @@ def _pendulum(experiment: Experiment) -> list[Claim]:
             "5.1.1",
             "GPC's advantage over COACH shrinks with erroneous advice",
             f"(GPC - COACH) in area without errors less that at {words.percent(last)}",
-            (_test(f"0% against {words.percent(last)}", *loss, lambda i: i.lower > 0),),
+            (test(f"0% against {words.percent(last)}", *loss, lambda i: i.lower > 0),),
         ),
         Claim(
             "5.1.1",
@@ -176,7 +145,7 @@ def _pendulum(experiment: Experiment) -> list[Claim]:
             f"GPC - COACH in area, between 0 and {words.percent(ALIKE)} of the gap from idle to oracle "
             f"({margin:.0f})",
             (
-                _test(
+                test(
                     words.percent(last),
                     *paired_difference(area("gpc", last), area("coach", last)),
                     lambda i: i.lower > 0 and i.upper < margin,
@@ -197,7 +166,7 @@ def _rate_claims(experiment: Experiment) -> list[Claim]:
         return Scores(group.seeds[known], np.log10(rates[known].mean(axis=1)))
 
     def fall(algo: str, error: float) -> Scores:
-        return _minus(window(algo, error, 1, 20), window(algo, error, 101, 150))
+        return minus(window(algo, error, 1, 20), window(algo, error, 101, 150))
 
     errors, last = experiment.study.errors, experiment.study.errors[-1]
     statistic = (
@@ -208,18 +177,18 @@ def _rate_claims(experiment: Experiment) -> list[Claim]:
             "5.1.1",
             f"{words.algorithm(algo)}'s learning rate falls",
             statistic,
-            tuple(_test(words.percent(e), *_mean(fall(algo, e)), lambda i: i.lower > 0, 2) for e in errors),
+            tuple(test(words.percent(e), *mean(fall(algo, e)), lambda i: i.lower > 0, 2) for e in errors),
         )
         for algo in ("gpc", "gpc-ns")
     ]
-    rise = [_minus(window("coach", e, 41, 60), window("coach", e, 1, 10)) for e in errors]
+    rise = [minus(window("coach", e, 41, 60), window("coach", e, 1, 10)) for e in errors]
     claims.append(
         Claim(
             "5.1.1",
             "COACH's first steps are small, and its learning rate rises with consistent advice",
             "log10 of the mean rate of corrections 41 to 60 less that of 1 to 10",
             tuple(
-                _test(words.percent(e), *_mean(each), lambda i: i.lower > 0, 2)
+                test(words.percent(e), *mean(each), lambda i: i.lower > 0, 2)
                 for e, each in zip(errors, rise, strict=True)
             ),
         )
@@ -230,7 +199,7 @@ def _rate_claims(experiment: Experiment) -> list[Claim]:
             "Errors make the fall of the learning rate more gradual",
             f"that fall without errors less the fall at {words.percent(last)}",
             tuple(
-                _test(
+                test(
                     words.algorithm(algo),
                     *paired_difference(fall(algo, errors[0]), fall(algo, last)),
                     lambda i: i.lower > 0,
@@ -251,17 +220,17 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
         return experiment.group(algo, error).final
 
     def loss(algo: str) -> Scores:
-        return _minus(final(algo, errors[0]), final(algo, last))
+        return minus(final(algo, errors[0]), final(algo, last))
 
     return [
-        *_outperforms("5.1.2", experiment, "gpc", "coach"),
-        *_outperforms("5.1.2", experiment, "gpc-ns", "coach"),
+        *outperforms("5.1.2", experiment, "gpc", "coach"),
+        *outperforms("5.1.2", experiment, "gpc-ns", "coach"),
         Claim(
             "5.1.2",
             "GPC and GPC-NS have a steeper initial learning curve than COACH",
             f"difference to COACH in mean return of the first {EARLY} episodes",
             tuple(
-                _above(
+                above(
                     early(experiment.group(algo, e)),
                     early(experiment.group("coach", e)),
                     f"{words.algorithm(algo)} {words.percent(e)}",
@@ -270,7 +239,7 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
                 for e in errors
             ),
         ),
-        _alike(
+        alike(
             "5.1.2",
             "GPC-NS approaches GPC without errors",
             experiment,
@@ -285,7 +254,7 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
             "GPC-NS is brittle to errors where GPC is robust",
             f"GPC-NS' loss of final return from 0% to {words.percent(last)} error, less GPC's",
             (
-                _test(
+                test(
                     words.percent(last),
                     *paired_difference(loss("gpc-ns"), loss("gpc")),
                     lambda i: i.lower > 0,
@@ -297,7 +266,7 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
             "COACH is brittle to errors",
             f"COACH's loss of final return from 0% to {words.percent(last)} error, more than half of what it has",
             (
-                _test(
+                test(
                     words.percent(last),
                     *paired_difference(final("coach", errors[0]), final("coach", last)),
                     lambda i: i.lower > 0.5 * float(final("coach", errors[0]).values.mean()),
@@ -309,7 +278,7 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
             "GPC is very robust to errors",
             "GPC's final return less that of the idle policy, in parts of the gap to the oracle; above 0.8",
             tuple(
-                _test(words.percent(e), *_mean(_closed(experiment, "gpc", e)), lambda i: i.lower > 0.8, 2)
+                test(words.percent(e), *mean(closed(experiment, "gpc", e)), lambda i: i.lower > 0.8, 2)
                 for e in errors[1:]
             ),
         ),
@@ -317,14 +286,14 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
             "5.3",
             "COACH attains convergence without errors",
             "COACH's final return less that of the idle policy, in parts of the gap to the oracle; above 0.8",
-            (_test("0%", *_mean(_closed(experiment, "coach", errors[0])), lambda i: i.lower > 0.8, 2),),
+            (test("0%", *mean(closed(experiment, "coach", errors[0])), lambda i: i.lower > 0.8, 2),),
         ),
         Claim(
             "5.1.2",
             f"GPC stays ahead of GPC-NS at {words.percent(last)} error by much",
             f"GPC - GPC-NS in final return, above a fifth of the gap from idle to oracle ({0.2 * gap:.0f})",
             (
-                _test(
+                test(
                     words.percent(last),
                     *paired_difference(final("gpc", last), final("gpc-ns", last)),
                     lambda i: i.lower > 0.2 * gap,
@@ -335,19 +304,19 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
 
 
 def _lander(experiment: Experiment) -> list[Claim]:
-    closed = "final return less that of the idle policy, in parts of the gap to the oracle"
+    gained = "final return less that of the idle policy, in parts of the gap to the oracle"
     return [
-        *_outperforms("5.1.3", experiment, "gpc", "coach"),
-        *_outperforms("5.1.3", experiment, "gpc-ns", "coach"),
+        *outperforms("5.1.3", experiment, "gpc", "coach"),
+        *outperforms("5.1.3", experiment, "gpc-ns", "coach"),
         Claim(
             "5.1.3",
             "COACH attains no performance",
-            f"COACH's {closed}; below 0.1",
-            _each(
-                experiment, lambda e: _mean_test(_closed(experiment, "coach", e), lambda i: i.upper < 0.1, 2)
+            f"COACH's {gained}; below 0.1",
+            each_error(
+                experiment, lambda e: mean_test(closed(experiment, "coach", e), lambda i: i.upper < 0.1, 2)
             ),
         ),
-        _alike(
+        alike(
             "5.1.3",
             "GPC and GPC-NS perform alike",
             experiment,
@@ -359,17 +328,17 @@ def _lander(experiment: Experiment) -> list[Claim]:
         Claim(
             "5.1.3",
             "GPC converges at every error rate",
-            f"GPC's {closed}; above 0.9",
-            _each(
-                experiment, lambda e: _mean_test(_closed(experiment, "gpc", e), lambda i: i.lower > 0.9, 2)
+            f"GPC's {gained}; above 0.9",
+            each_error(
+                experiment, lambda e: mean_test(closed(experiment, "gpc", e), lambda i: i.lower > 0.9, 2)
             ),
         ),
         Claim(
             "5.1.3",
             "GPC-NS converges at every error rate",
-            f"GPC-NS' {closed}; above 0.9",
-            _each(
-                experiment, lambda e: _mean_test(_closed(experiment, "gpc-ns", e), lambda i: i.lower > 0.9, 2)
+            f"GPC-NS' {gained}; above 0.9",
+            each_error(
+                experiment, lambda e: mean_test(closed(experiment, "gpc-ns", e), lambda i: i.lower > 0.9, 2)
             ),
         ),
     ]
@@ -385,13 +354,13 @@ def _active(*experiments: Experiment) -> list[Claim]:
 
     def area(first: str, second: str) -> tuple[Test, ...]:
         return tuple(
-            _above(getattr(table, first).only.area, getattr(table, second).only.area, condition)
+            above(getattr(table, first).only.area, getattr(table, second).only.area, condition)
             for condition, table in variants.items()
         )
 
     def fewer(first: str, second: str) -> tuple[Test, ...]:
         return tuple(
-            _test(
+            test(
                 condition,
                 *paired_difference(
                     getattr(table, first).only.corrections_used, getattr(table, second).only.corrections_used
@@ -403,7 +372,7 @@ def _active(*experiments: Experiment) -> list[Claim]:
 
     def rates(row: str) -> tuple[Test, ...]:
         return tuple(
-            _test(condition, *_mean(_mean_rate(getattr(table, row))), lambda i: i.upper < 0.04, 4)
+            test(condition, *mean(_mean_rate(getattr(table, row))), lambda i: i.upper < 0.04, 4)
             for condition, table in variants.items()
         )
 
@@ -441,7 +410,7 @@ def _active(*experiments: Experiment) -> list[Claim]:
             "The rate of i falls more slowly than that of iii",
             "log10 of the mean rate of corrections 1 to 10 over that of 21 to 40, iii less i",
             tuple(
-                _test(
+                test(
                     condition, *paired_difference(_fall(table.iii), _fall(table.i)), lambda i: i.lower > 0, 2
                 )
                 for condition, table in variants.items()
@@ -491,7 +460,7 @@ def _oracles(experiment: Experiment) -> list[Claim]:
             for delta in deltas:
                 groups = [experiment.group(algo, error, oracle, delta) for algo in (first, second)]
                 condition = oracle if delta is None else f"{oracle} {delta:g}"
-                tests.append(_above(groups[0].area, groups[1].area, condition))
+                tests.append(above(groups[0].area, groups[1].area, condition))
         names = f"{words.algorithm(first)} outperforms {words.algorithm(second)}"
         where = "oracle and delta" if deltas != (None,) else "oracle"
         return Claim(
@@ -509,11 +478,11 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
     domains = {"pendulum": pendulum, "cart-pole": cartpole, "lander": lander}
 
     def margin(experiment: Experiment, error: float) -> Scores:
-        area = _area(experiment)
-        return scaled(_minus(area("gpc", error), area("coach", error)), experiment.gap)
+        area = area_of(experiment)
+        return scaled(minus(area("gpc", error), area("coach", error)), experiment.gap)
 
     def never_exceeded(name: str, experiment: Experiment, other: str) -> Iterable[Test]:
-        area = _area(experiment)
+        area = area_of(experiment)
         for error in experiment.study.errors:
             interval, pairs = paired_difference(area(other, error), area("gpc", error))
             condition = f"{name} {words.percent(error)} {words.algorithm(other)}"
@@ -522,8 +491,8 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
     def near(name: str, experiment: Experiment) -> Iterable[Test]:
         for error in experiment.study.errors:
             groups = [experiment.group(algo, error) for algo in ("gpc-ns", "gpc")]
-            difference = scaled(_minus(groups[0].final, groups[1].final), experiment.gap)
-            yield _mean_test(difference, lambda i: i.lower > -2 * ALIKE, 2, f"{name} {words.percent(error)}")
+            difference = scaled(minus(groups[0].final, groups[1].final), experiment.gap)
+            yield mean_test(difference, lambda i: i.lower > -2 * ALIKE, 2, f"{name} {words.percent(error)}")
 
     return [
         Claim(
@@ -543,11 +512,11 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
             "(GPC - COACH) in area, in parts of each task's gap, on the lander less that elsewhere; means over the "
             "error rates",
             tuple(
-                _test(
+                test(
                     f"against {name}",
                     *paired_difference(
-                        _average([margin(lander, e) for e in lander.study.errors]),
-                        _average([margin(domains[name], e) for e in domains[name].study.errors]),
+                        average([margin(lander, e) for e in lander.study.errors]),
+                        average([margin(domains[name], e) for e in domains[name].study.errors]),
                     ),
                     lambda i: i.lower > 0,
                     2,
@@ -562,93 +531,3 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
             tuple(test for name, experiment in domains.items() for test in near(name, experiment)),
         ),
     ]
-
-
-def _outperforms(section: str, experiment: Experiment, first: str, second: str) -> list[Claim]:
-    area = _area(experiment)
-    return [
-        Claim(
-            section,
-            f"{words.algorithm(first)} outperforms {words.algorithm(second)} at every error rate",
-            f"{words.algorithm(first)} - {words.algorithm(second)} in area",
-            _each(experiment, lambda e: _above(area(first, e), area(second, e))),
-        )
-    ]
-
-
-def _alike(
-    section: str,
-    text: str,
-    experiment: Experiment,
-    first: str,
-    second: str,
-    scores: Callable[[Group], Scores],
-    name: str,
-    errors: Sequence[float] | None = None,
-) -> Claim:
-    margin = ALIKE * experiment.gap
-    tests = []
-    for error in experiment.study.errors if errors is None else errors:
-        pair = (scores(experiment.group(algo, error)) for algo in (first, second))
-        interval, pairs = paired_difference(*pair)
-        verdict = -margin < interval.lower and interval.upper < margin
-        tests.append(Test(words.percent(error), interval, pairs, verdict))
-    statistic = (
-        f"{words.algorithm(first)} - {words.algorithm(second)} in {name}, within {words.percent(ALIKE)} of the gap "
-        f"from idle to oracle (±{margin:.0f})"
-    )
-    return Claim(section, text, statistic, tuple(tests))
-
-
-def _area(experiment: Experiment) -> Callable[[str, float], Scores]:
-    return lambda algo, error: experiment.group(algo, error).area
-
-
-def _closed(experiment: Experiment, algo: str, error: float) -> Scores:
-    final = experiment.group(algo, error).final
-    return Scores(final.seeds, (final.values - experiment.study.idle.mean) / experiment.gap)
-
-
-def _change_of_difference(experiment: Experiment, errors: Sequence[float]) -> tuple[Interval, int]:
-    area = _area(experiment)
-    first, last = (_minus(area("gpc", e), area("coach", e)) for e in (errors[0], errors[-1]))
-    return paired_difference(first, last)
-
-
-def _each(experiment: Experiment, make: Callable[[float], Test]) -> tuple[Test, ...]:
-    return tuple(
-        Test(words.percent(e), test.value, test.runs, test.verdict, test.decimals)
-        for e in experiment.study.errors
-        for test in (make(e),)
-    )
-
-
-def _above(first: Scores, second: Scores, condition: str = "") -> Test:
-    return _test(condition, *paired_difference(first, second), lambda i: i.lower > 0)
-
-
-def _mean_test(scores: Scores, holds: Callable[[Interval], bool], decimals: int, condition: str = "") -> Test:
-    return _test(condition, *_mean(scores), holds, decimals)
-
-
-def _test(
-    condition: str, value: Interval, runs: int, holds: Callable[[Interval], bool], decimals: int = 0
-) -> Test:
-    return Test(condition, value, runs, bool(holds(value)), decimals)
-
-
-def _mean(scores: Scores) -> tuple[Interval, int]:
-    return mean_interval(scores.values[:, None]), len(scores.values)
-
-
-def _minus(first: Scores, second: Scores) -> Scores:
-    seeds, mine, theirs = np.intersect1d(first.seeds, second.seeds, assume_unique=True, return_indices=True)
-    return Scores(seeds, first.values[mine] - second.values[theirs])
-
-
-def _average(scores: Sequence[Scores]) -> Scores:
-    seeds = scores[0].seeds
-    for each in scores[1:]:
-        seeds = np.intersect1d(seeds, each.seeds, assume_unique=True)
-    values = [each.values[np.searchsorted(each.seeds, seeds)] for each in scores]
-    return Scores(seeds, np.mean(values, axis=0))

@@ -2,14 +2,13 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any
 
 from gpcjax.report import html
 from gpcjax.report.html import Picture
 from gpcjax.report.tables import Sheet
-from gpcjax.reproduce.claims import FAILS, HOLDS, Claim
 from gpcjax.reproduce.parts import CHANGES, PARTS, Part
 from gpcjax.reproduce.results import Experiment, Results
+from gpcjax.reproduce.verdicts import FAILS, HOLDS, Claim
 
 ACROSS = Part("Across the tasks (5.4 and 6)", ())
 
@@ -127,7 +126,10 @@ def _emphasised(claim: Claim) -> str:
 
 
 def _estimates(claim: Claim) -> str:
-    return "; ".join(_estimate(test.condition, test.shown, len(claim.tests)) for test in _some(claim))
+    if len(claim.tests) > MOST_TESTS:
+        lowest, highest = (choose(claim.tests, key=lambda test: test.value.estimate) for choose in (min, max))
+        return f"from {lowest.shown} ({lowest.condition}) to {highest.shown} ({highest.condition})"
+    return "; ".join(_estimate(test.condition, test.shown, len(claim.tests)) for test in claim.tests)
 
 
 READING = (
@@ -139,11 +141,7 @@ READING = (
 )
 
 MOST_TESTS = 6
-"""Conditions of a claim that a table of the README shows; the page shows all."""
-
-
-def _some(claim: Claim) -> Sequence[Any]:
-    return claim.tests if len(claim.tests) <= MOST_TESTS else ()
+"""Conditions of a claim that a line of the Markdown shows; the page shows all."""
 
 
 def _shortened(claim: Claim) -> str:

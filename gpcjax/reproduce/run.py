@@ -12,10 +12,11 @@ from gpcjax.report import style
 from gpcjax.report.html import Picture
 from gpcjax.report.tables import Sheet, result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
-from gpcjax.reproduce.claims import Claim, claims
+from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
+from gpcjax.reproduce.verdicts import Claim
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
 from gpcjax.sweep.run import run

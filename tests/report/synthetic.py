@@ -132,7 +132,7 @@ def manifest(frame: pd.DataFrame, varying: Sequence[str] = (), **changes: Any) -
             "idle": {"mean": idle, "std": 12.0, "n": 100},
             "oracles": {
                 name: {"mean": best, "std": 0.0 if env == "cartpole" else 95.0, "n": 100}
-                for name in set(frame["oracle"])
+                for name in dict.fromkeys(frame["oracle"])
             },
         },
         "versions": {"gpcjax": "0.1.0", "jax": "0.10.0", "python": "3.11.7", "numpy": "2.4.6"},

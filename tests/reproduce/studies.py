@@ -1,0 +1,112 @@
+"""Experiments whose results are made of formulas: learning curves as high as a test says, rates as it says."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from gpcjax.report.groups import gather
+from gpcjax.reproduce.parts import ABLATIONS, ROWS
+from gpcjax.reproduce.results import Experiment
+from tests.report import synthetic
+
+ERRORS = (0.0, 0.1, 0.2)
+EPISODES = 12
+CORRECTIONS = 160
+"""Of each run: enough for every window of corrections that a claim speaks of."""
+
+LEVELS = {"gpc": 0.9, "gpc-ns": 0.9, "coach": 0.4}
+SLOPES = {"gpc": -0.3, "gpc-ns": -0.3, "coach": 0.3}
+"""How far log10 of the learning rate changes over all corrections."""
+
+
+def experiment(
+    env: str = "cartpole",
+    levels: Mapping[str, float | Sequence[float]] = LEVELS,
+    early: Mapping[str, float] | None = None,
+    slopes: Mapping[str, float | Sequence[float]] = SLOPES,
+    used: float = 10.0,
+    rate: float = 0.03,
+    spread: float = 0.01,
+    errors: Sequence[float] = ERRORS,
+    seeds: int = 12,
+    oracles: Sequence[str] = ("gpc",),
+    deltas: Sequence[float] = (),
+    at: Callable[[str, float | None], Mapping[str, float]] = lambda oracle, delta: {},
+) -> Experiment:
+    """One experiment.
+
+    Args:
+        env: the task.
+        levels: by algorithm, its return in parts of the gap from idle to oracle; a value, or one for each error rate.
+        early: the same over the first six episodes alone, where it is another.
+        slopes: change of log10 of the learning rate from the first to the last correction, like `levels`.
+        used: corrections in an episode.
+        rate: mean learning rate of every episode.
+        spread: standard deviation of runs, in parts of the gap; those of one seed differ by a tenth of that.
+        errors: error rates.
+        seeds: runs of each setting.
+        oracles: names of the oracles.
+        deltas: distances, if several.
+        at: levels with an oracle and a delta, where they are others.
+    """
+    points = {algo: [{"delta": delta} for delta in deltas] for algo in levels} if deltas else None
+    frame = synthetic.episodes(env, tuple(levels), errors, seeds, EPISODES, oracles, points)
+    idle, best = synthetic.LEVELS[env]
+    place = frame["error"].map({error: i for i, error in enumerate(errors)}).to_numpy()
+    random = np.random.default_rng(1)
+    of_seed, own = random.normal(0, spread, seeds), random.normal(0, spread / 10, len(frame))
+    part = np.array([
+        ({**levels, **at(oracle, delta)} if at else levels)[algo]
+        for algo, oracle, delta in zip(
+            frame["algo"], frame["oracle"], frame["delta"] if deltas else [None] * len(frame), strict=True
+        )
+    ], dtype=object)  # fmt: skip
+    part = np.array([_one(value, i) for value, i in zip(part, place, strict=True)])
+    beginning = frame["episode"].to_numpy() <= EPISODES // 2
+    for algo, level in (early or {}).items():
+        part = np.where(beginning & (frame["algo"] == algo), level, part)
+    frame["return"] = idle + (best - idle) * (part + of_seed[frame["seed"]] + own)
+    frame["corrections"] = (used + frame["seed"] % 3).astype(np.int32)
+    frame["mean_rate"] = rate * (1 + 0.01 * random.normal(size=len(frame)))
+    return _read(frame, slopes, errors, deltas)
+
+
+def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
+    """Twelve experiments for Table 5.4 and its variants: i before ii and iii before iv; `changes` are by row."""
+    level = {"i": 0.9, "ii": 0.8, "iii": 0.8, "iv": 0.6}
+    used = {"i": 5.0, "ii": 10.0, "iii": 10.0, "iv": 20.0}
+    slopes = {"i": -0.2, "ii": 0.0, "iii": -0.6, "iv": 0.0}
+    made = {}
+    for row in ROWS:
+        plain = {
+            "levels": {"gpc": level[row]},
+            "used": used[row],
+            "slopes": {"gpc": slopes[row]},
+            "errors": (0.1,),
+        }
+        made[row] = experiment(**plain | changes.get(row, {}))
+    return {f"{name}_{row}": made[row] for name in ABLATIONS for row in ROWS}
+
+
+def _read(frame, slopes, errors, deltas):
+    corrections = frame.drop_duplicates(["algo", "oracle", "error", "seed", *(["delta"] if deltas else [])])
+    corrections = corrections.loc[corrections.index.repeat(CORRECTIONS)].reset_index(drop=True)
+    number = np.tile(np.arange(CORRECTIONS), len(corrections) // CORRECTIONS)
+    random = np.random.default_rng(2)
+    slope = np.array([
+        _one(slopes[algo], errors.index(error))
+        for algo, error in zip(corrections["algo"], corrections["error"], strict=True)
+    ])  # fmt: skip
+    noise = 0.01 * random.normal(size=len(number))
+    corrections = corrections.assign(
+        episode=1 + number // 20,
+        step=number % 20,
+        action_dim=0,
+        rate=0.1 * 10 ** (slope * number / CORRECTIONS + noise),
+    )
+    description = synthetic.manifest(frame, varying=["delta"] if deltas else [])
+    return Experiment(gather(frame, description), frame, corrections)
+
+
+def _one(value, place):
+    return value[place] if isinstance(value, Sequence) else value

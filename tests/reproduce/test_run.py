@@ -1,0 +1,239 @@
+"""A reproduction from its files to its report: with workers that are only pretended, and a very small real one."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gpcjax import cli
+from gpcjax.errors import UserError
+from gpcjax.reproduce import run as reproduce_module
+from gpcjax.reproduce.parts import PARTS, chosen
+from gpcjax.reproduce.run import reproduce
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.runfolder import read_manifest
+from gpcjax.sweep.schedule import offered_rates
+from gpcjax.sweep.store import read_episodes
+from tests.sweep.test_store import rows
+
+SWEPT = tuple(part for part in PARTS if PARTS[part].experiments)
+EXPERIMENTS = [name for part in SWEPT for name in PARTS[part].experiments]
+BASELINES = {"idle": 0.0}
+"""The return of a policy that does not learn; 100 for an oracle."""
+
+
+@pytest.fixture
+def sweeps(tmp_path):
+    """The files of the project, with three seeds and three episodes where it has to be quick."""
+    folder = tmp_path / "sweeps"
+    folder.mkdir()
+    for path in (Path(__file__).parents[2] / "sweeps").glob("*.toml"):
+        head, quick, tail = path.read_text().partition("[quick]")
+        (folder / path.name).write_text(head + quick + re.sub(r"(seeds|episodes) = \d+", r"\1 = 3", tail))
+    return folder
+
+
+class Pretended:
+    """In place of `Executors`: rows of all cells, or of some and then Ctrl-C."""
+
+    def __init__(self):
+        self.cells, self.stop_after = [], None
+
+    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
+        self.work = (list(cells), list(baselines), on_rows, on_baseline, on_progress)
+        return self
+
+    def run(self):
+        cells, baselines, on_rows, on_baseline, on_progress = self.work
+        for _, name in baselines:
+            on_baseline(name, {"mean": BASELINES.get(name, 100.0), "std": 1.0, "n": 100})
+        for cell in cells:
+            if len(self.cells) == self.stop_after:
+                raise KeyboardInterrupt
+            self.cells.append(cell)
+            on_rows(taught(cell))
+        on_progress(Totals(env_steps=10, episodes=3, compile_seconds=1.0))
+
+
+def taught(cell):
+    """What a run might leave: enough corrections for every claim, chances that differ."""
+    made = rows(cell, cell.episodes, corrections=160)
+    random = np.random.default_rng([cell.seed, len(cell.algo), int(100 * cell.error)])
+    made.episodes["returns"][:] = 50 + random.normal(size=cell.episodes)
+    made.episodes["corrections"][:] = 3
+    made.episodes["rate_sum"][:] = random.uniform(0.05, 0.2, cell.episodes)
+    made.episodes["asked"][:] = 5
+    made.episodes["chance_sum"][:] = 5 * random.uniform(0.05, 0.2, cell.episodes)
+    made.corrections["values"][:, 0] = random.uniform(0.02, 0.1, 160)
+    return made
+
+
+@pytest.fixture
+def pretended(monkeypatch):
+    workers = Pretended()
+    monkeypatch.setattr(run_module, "Executors", workers)
+    return workers
+
+
+def files(out):
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+
+def test_the_whole_of_it(sweeps, pretended, tmp_path):
+    out = tmp_path / "out"
+    assert reproduce(sweeps, out, SWEPT, quick=True, jobs=1) == out / "report.html"
+    for name in EXPERIMENTS:
+        manifest = read_manifest(out / name)
+        assert manifest["complete"] and manifest["specification"]["seeds"] == 3
+        # As many as the file says, and no other rows.
+        assert len(read_episodes(out / name)) == 3 * manifest["cells"]
+    for name in PARTS["active"].experiments:
+        stem, _, row = name.rpartition("_")
+        schedule = read_manifest(out / name)["specification"]["rate_schedule"]
+        source = {"iii": "i", "iv": "ii"}.get(row)
+        # Of the folder beside it, whatever the file calls it.
+        assert tuple(schedule) == (offered_rates(out / f"{stem}_{source}") if source else ())
+    claims = pd.read_csv(out / "claims.csv")
+    assert set(claims["part"]) == {*SWEPT, "all"}
+    lander = claims[(claims["part"] == "lander") & claims["claim"].str.startswith("GPC-NS outperforms")]
+    assert set(lander["n"]) == {3}  # though the two learners are of two sweeps
+    page = (out / "report.html").read_text()
+    text = (out / "claims.md").read_text()
+    assert all(name in page for name in EXPERIMENTS)
+    assert all(claim in text for claim in claims["claim"])
+    figures = {path.name for path in (out / "figures").iterdir()}
+    assert {path.removesuffix(".png") for path in figures if path.endswith(".png")} == {
+        path.removesuffix(".pdf") for path in figures if path.endswith(".pdf")
+    }
+    for start in ("fig5_1", "fig5_2", "fig5_4", "fig5_5", "fig5_7", "fig5_8", "oracles"):
+        assert any(name.startswith(start) for name in figures)
+    before, ran = files(out), len(pretended.cells)
+    reproduce(sweeps, out, SWEPT, quick=True, jobs=2)
+    assert len(pretended.cells) == ran and files(out) == before
+
+
+def test_a_part_at_a_time(sweeps, pretended, tmp_path):
+    """The report shows what there is, of earlier calls too."""
+    out = tmp_path / "out"
+    reproduce(sweeps, out, ("pendulum",), quick=True, jobs=1)
+    assert set(pd.read_csv(out / "claims.csv")["part"]) == {"pendulum"}
+    reproduce(sweeps, out, ("cartpole",), quick=True, jobs=1)
+    assert set(pd.read_csv(out / "claims.csv")["part"]) == {"pendulum", "cartpole"}
+    assert {cell.env for cell in pretended.cells} == {"pendulum", "cartpole"}
+
+
+def test_stopped_it_goes_on(sweeps, pretended, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["reproduce", "--quick", "--only=pendulum,cartpole", f"--sweeps={sweeps}", f"--out={out}"]
+    pretended.stop_after = 3 * 9 + 5
+    assert cli.main(words) == 130
+    told = f"gpcjax: stopped: {out} keeps what is finished, the same command goes on from there"
+    assert capsys.readouterr().err.splitlines()[-1] == told
+    assert not (out / "report.html").exists()
+    assert read_manifest(out / "fig5_1_pendulum")["complete"]
+    assert not read_manifest(out / "fig5_4_cartpole")["complete"]
+    pretended.stop_after = None
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out == f"{out / 'report.html'}\n"
+    assert len(pretended.cells) == len(set(pretended.cells)) == 2 * 27
+
+
+class TestRefused:
+    """Before anything runs."""
+
+    @pytest.fixture(autouse=True)
+    def nothing_runs(self, pretended):
+        yield
+        assert not pretended.cells
+
+    def refusal(self, sweeps, out, *only):
+        with pytest.raises(UserError) as error:
+            reproduce(sweeps, out, only or SWEPT, quick=True, jobs=1)
+        return str(error.value)
+
+    def test_a_folder_of_something_else(self, sweeps, tmp_path):
+        folder = tmp_path / "out" / "fig5_5_lunarlander"
+        folder.mkdir(parents=True)
+        (folder / "thesis.tex").touch()
+        assert f"{folder}: it holds 'thesis.tex' and no run" in self.refusal(sweeps, tmp_path / "out")
+
+    def test_a_file(self, sweeps, tmp_path):
+        (tmp_path / "out").touch()
+        assert f"{tmp_path / 'out'}: this is no folder" in self.refusal(sweeps, tmp_path / "out")
+
+    def test_a_file_of_settings_that_is_missing_or_wrong(self, sweeps, tmp_path):
+        (sweeps / "table5_4_iv.toml").write_text('env = "cartpole"\n[quick]\nsedes = 3\n')
+        assert "table5_4_iv.toml: [quick] 'sedes' is no setting" in self.refusal(sweeps, tmp_path / "out")
+        (sweeps / "table5_4_iv.toml").unlink()
+        assert "table5_4_iv.toml: cannot be read" in self.refusal(sweeps, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+    def test_a_part_that_there_is_not(self):
+        with pytest.raises(UserError, match=r"--only 'pendulm': give .* .did you mean pendulum"):
+            chosen("cartpole,pendulm")
+
+
+def test_the_settings_of_another_reproduction_are_refused(sweeps, pretended, tmp_path):
+    """A quick one and a whole one do not share a folder."""
+    reproduce(sweeps, tmp_path / "out", ("pendulum",), quick=True, jobs=1)
+    ran = len(pretended.cells)
+    message = r"fig5_1_pendulum: it holds another specification \(seeds, episodes\)"
+    with pytest.raises(UserError, match=message):
+        reproduce(sweeps, tmp_path / "out", ("pendulum",), quick=False, jobs=1)
+    assert len(pretended.cells) == ran
+
+
+def test_parts_are_chosen_in_their_own_order():
+    assert chosen(None) == tuple(PARTS)
+    assert chosen("lander, pendulum,lander") == ("pendulum", "lander")
+
+
+def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
+    called = []
+    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words) or 0)
+    monkeypatch.setattr(reproduce_module, "draw", lambda out, quick: out)
+    path = tmp_path / "out" / "illustrations.npz"
+    reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
+    assert called == [("gpcjax.reproduce.illustrations", str(path))]
+    path.touch()
+    reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
+    assert len(called) == 1
+    path.unlink()
+    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: 1)
+    with pytest.raises(RuntimeError, match="illustrations"):
+        reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
+
+
+def test_dry_run(sweeps, tmp_path, capsys):
+    words = f"reproduce --dry-run --only active,lander --sweeps {sweeps} --out {tmp_path / 'out'} --jobs 3"
+    assert cli.main(words.split()) == 0
+    told = f"active, lander: 14 experiments of {sweeps}, in 3 processes, into {tmp_path / 'out'}\n"
+    assert capsys.readouterr().out == told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_real_one(sweeps, tmp_path, capsys, monkeypatch):
+    """Two seeds of two episodes on the pendulum; a second call computes nothing."""
+    path = sweeps / "fig5_1_pendulum.toml"
+    path.write_text(path.read_text().replace(" = 3", " = 2") + "error = [0, 0.2]\n")
+    shutil.rmtree(tmp_path / "out", ignore_errors=True)
+    words = f"reproduce --quick --only pendulum --sweeps {sweeps} --out {tmp_path / 'out'} --jobs 1".split()
+    assert cli.main(words) == 0
+    out = tmp_path / "out"
+    frame = read_episodes(out / "fig5_1_pendulum")
+    assert len(frame) == 3 * 2 * 2 * 2 and set(frame["length"]) == {200}
+    claims = pd.read_csv(out / "claims.csv")
+    assert set(claims["part"]) == {"pendulum"} and claims["n"].max() == 2
+    order = claims[claims["claim"].str.startswith("GPC outperforms COACH")]
+    table = frame.pivot_table("return", ["error", "seed"], "algo")
+    expected = (table["gpc"] - table["coach"]).groupby("error").mean()
+    np.testing.assert_allclose(order["estimate"], expected, rtol=1e-12)
+    assert (out / "figures" / "fig5_1_returns.png").stat().st_size > 10_000
+    monkeypatch.setattr(run_module, "Executors", None)
+    before = files(out)
+    assert cli.main(words) == 0
+    assert files(out) == before
