@@ -72,6 +72,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("--quick takes the table [quick] of a TOML file: give the file")
     given = read_toml(Path(arguments.toml), arguments.quick) if arguments.toml is not None else {}
     given |= cli_options.settings(arguments)
+    unresolved = "rate_from" in given and arguments.dry_run
     if "rate_from" in given:
         given = _with_schedule(given, arguments.dry_run)
     if arguments.command == "grid":
@@ -82,7 +83,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
-    check_sweep(out, spec)
+    if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
+        check_sweep(out, spec)
     if arguments.dry_run:
         print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
         return 0
@@ -94,8 +96,9 @@ def _with_schedule(given: dict[str, Given], dry_run: bool) -> dict[str, Given]:
     """The settings with the schedule that `rate_from` names; for a check it is enough that the folder is there."""
     setting = given.pop("rate_from")
     folder = Path(os.path.expanduser(setting.value))
-    if "rate_schedule" in given:
-        raise UserError(f"{setting.where}: beside rate_schedule it changes nothing, give one of the two")
+    for name in ("rate_schedule", "rate"):
+        if name in given:
+            raise UserError(f"{given[name].where}: beside rate_from it changes nothing, give one of the two")
     check_report(folder)
     if dry_run:
         return given

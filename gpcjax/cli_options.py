@@ -38,7 +38,8 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise, where argparse would print its usage and exit."""
         if empty := re.fullmatch(r"argument --(\S+): expected one argument", message):
-            message = f"--{empty[1]} has no value: give {OPTIONS[empty[1].replace('-', '_')].allowed}"
+            option = OPTIONS.get(empty[1].replace("-", "_"))
+            message = f"--{empty[1]} has no value: give {option.allowed if option else 'one'}"
         elif missing := re.fullmatch(r"the following arguments are required: (\S+)", message):
             message = f"{missing[1]} is missing: see {self.prog} --help"
         raise UserError(message)

@@ -231,6 +231,7 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
             "--only 'pendulm': give illustrations, pendulum, cartpole, active, oracles",
         ),
         ("reproduce --only=", "--only '': give illustrations, pendulum"),
+        ("reproduce --only", "--only has no value: give one"),
         ("reproduce --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
         ("reproduce --seeds 3", "'--seeds' is no flag"),
         ("reproduce --sweeps none", "none/fig5_1_pendulum.toml: cannot be read (No such file or directory)"),

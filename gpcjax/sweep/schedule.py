@@ -30,6 +30,9 @@ def offered_rates(out: Path) -> tuple[float, ...]:
     table = frame.pivot(index="seed", columns="episode", values="chance").to_numpy()
     known = ~np.isnan(table)
     chances = np.where(known, table, 0.0).sum(0) / known.sum(0).clip(1)
-    # An episode in which no coin of any run allowed advice has the chance of the one before.
-    last = np.maximum.accumulate(np.where(known.any(0), np.arange(len(chances)), 0))
+    # An episode in which no coin of any run allowed advice has the chance of the one before, or of the first known.
+    told = known.any(0)
+    if not told.any():
+        raise UserError(f"{out}: no chance of advice is known, its teacher never spoke")
+    last = np.maximum.accumulate(np.where(told, np.arange(len(chances)), told.argmax()))
     return tuple(chances[last].tolist())

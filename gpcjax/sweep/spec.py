@@ -83,7 +83,10 @@ def spec_of(**settings: Any) -> SweepSpec:
     Raises:
         UserError: a name or value that is not allowed.
     """
-    return make_spec(_accepted(settings, ""))
+    given = _accepted(settings, "")
+    if "rate_from" in given:
+        raise UserError("rate_from: give rate_schedule, the chances themselves, here")
+    return make_spec(given)
 
 
 def make_spec(given: Mapping[str, Given]) -> SweepSpec:

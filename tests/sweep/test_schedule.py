@@ -9,6 +9,7 @@ import pytest
 from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.sweep.schedule import offered_rates
+from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import read_corrections, read_episodes
 from tests.report import synthetic
 
@@ -144,12 +145,17 @@ class TestCommandLine:
         assert capsys.readouterr().out.startswith("2 cells of cartpole, 3 episodes each")
         assert not list(tmp_path.iterdir())
 
+    def test_dry_run_into_its_own_folder(self, active, tmp_path):
+        words = [*FOLLOWER.split(), "--seeds=1", f"--rate-from={active}", f"--out={tmp_path / 'out'}"]
+        assert cli.main(words) == 0
+        assert cli.main([*words, "--dry-run"]) == 0
+
     @pytest.mark.parametrize("more", [[], ["--dry-run"]], ids=["run", "dry run"])
     @pytest.mark.parametrize(
         ("flag", "message"),
         [
-            ("--rate=0.1", "--rate: beside rate_schedule it changes nothing, give one of the two"),
-            ("--rate-schedule=0.1", "--rate-from: beside rate_schedule it changes nothing, give one of the two"),
+            ("--rate=0.1", "--rate: beside rate_from it changes nothing, give one of the two"),
+            ("--rate-schedule=0.1", "--rate-schedule: beside rate_from it changes nothing, give one of the two"),
             ("--rate-from=none", "none: no such folder, give a folder that a sweep has made"),
         ],
     )  # fmt: skip
@@ -159,3 +165,9 @@ class TestCommandLine:
         assert cli.main(words) == 2
         assert capsys.readouterr().err == f"gpcjax: error: {message}\n"
         assert not list(tmp_path.iterdir())
+
+
+def test_python_does_not_pass_over_it(tmp_path):
+    """It takes the schedule, or refuses the name."""
+    with pytest.raises(ValueError, match="rate_from"):
+        spec_of(env="cartpole", rate_from=str(tmp_path / "none"))
