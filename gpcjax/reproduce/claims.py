@@ -304,10 +304,21 @@ def _cartpole(experiment: Experiment) -> list[Claim]:
 
 
 def _lander(experiment: Experiment) -> list[Claim]:
+    """GPC-NS takes so long there that a reproduction may not have it yet."""
     gained = "final return less that of the idle policy, in parts of the gap to the oracle"
-    return [
+
+    def converges(algo: str) -> Claim:
+        return Claim(
+            "5.1.3",
+            f"{words.algorithm(algo)} converges at every error rate",
+            f"{words.algorithm(algo)}: {gained}; above 0.9",
+            each_error(
+                experiment, lambda e: mean_test(closed(experiment, algo, e), lambda i: i.lower > 0.9, 2)
+            ),
+        )
+
+    claims = [
         *outperforms("5.1.3", experiment, "gpc", "coach"),
-        *outperforms("5.1.3", experiment, "gpc-ns", "coach"),
         Claim(
             "5.1.3",
             "COACH attains no performance",
@@ -316,32 +327,20 @@ def _lander(experiment: Experiment) -> list[Claim]:
                 experiment, lambda e: mean_test(closed(experiment, "coach", e), lambda i: i.upper < 0.1, 2)
             ),
         ),
-        alike(
-            "5.1.3",
-            "GPC and GPC-NS perform alike",
-            experiment,
-            "gpc",
-            "gpc-ns",
-            lambda group: group.final,
-            "final return",
-        ),
-        Claim(
-            "5.1.3",
-            "GPC converges at every error rate",
-            f"GPC's {gained}; above 0.9",
-            each_error(
-                experiment, lambda e: mean_test(closed(experiment, "gpc", e), lambda i: i.lower > 0.9, 2)
-            ),
-        ),
-        Claim(
-            "5.1.3",
-            "GPC-NS converges at every error rate",
-            f"GPC-NS' {gained}; above 0.9",
-            each_error(
-                experiment, lambda e: mean_test(closed(experiment, "gpc-ns", e), lambda i: i.lower > 0.9, 2)
-            ),
-        ),
+        converges("gpc"),
     ]
+    if "gpc-ns" not in experiment.study.algorithms:
+        return claims
+    similar = alike(
+        "5.1.3",
+        "GPC and GPC-NS perform alike",
+        experiment,
+        "gpc",
+        "gpc-ns",
+        lambda group: group.final,
+        "final return",
+    )
+    return [*claims, *outperforms("5.1.3", experiment, "gpc-ns", "coach"), similar, converges("gpc-ns")]
 
 
 def _active(*experiments: Experiment) -> list[Claim]:
@@ -503,6 +502,7 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
                 test
                 for name, experiment in domains.items()
                 for other in ("gpc-ns", "coach")
+                if other in experiment.study.algorithms
                 for test in never_exceeded(name, experiment, other)
             ),
         ),
@@ -528,6 +528,11 @@ def _across(pendulum: Experiment, cartpole: Experiment, lander: Experiment) -> l
             "6.1",
             "GPC-NS approaches GPC's final performance in most experiments",
             f"GPC-NS - GPC in final return, in parts of the gap; above {-2 * ALIKE:g}",
-            tuple(test for name, experiment in domains.items() for test in near(name, experiment)),
+            tuple(
+                test
+                for name, experiment in domains.items()
+                if "gpc-ns" in experiment.study.algorithms
+                for test in near(name, experiment)
+            ),
         ),
     ]
