@@ -53,3 +53,9 @@ def test_commands_are_accepted(command, tmp_path, monkeypatch, capsys):
 def test_pictures_exist():
     for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
         assert (ROOT / path).stat().st_size > 1000, path
+
+
+def test_the_claims_are_those_of_the_reproduction():
+    shown = re.search(r"<!-- claims -->\n(.*?)<!-- /claims -->", README, re.DOTALL)
+    assert shown and shown[1] == (ROOT / "docs" / "reproduction" / "claims.md").read_text()
+    assert shown[1].count("\n") > 30

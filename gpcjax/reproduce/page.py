@@ -104,7 +104,8 @@ def markdown_report(
         "\n".join(f"    {command}" for command in commands),
         _markdown_table(runs.columns, runs.rows),
         "\n".join(
-            f"- {title}: " + "; ".join(f"{name} {value}" for name, value in manifests[0][key].items())
+            f"- {title}: "
+            + "; ".join(f"{name} {value}" for name, value in manifests[0][key].items() if name != "platform")
             for title, key in (("Machine", "machine"), ("Versions", "versions"))
             if manifests
         ),
