@@ -69,7 +69,9 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None
     if corrections.empty:
         return None
     rates = {
-        group: _rates(group, corrections) for group in study.groups if group.runs and summary.of(group).best
+        group: common_rates(group, corrections)
+        for group in study.groups
+        if group.runs and summary.of(group).best
     }
     longest = max((rate.shape[1] for rate in rates.values()), default=0)
     if not longest:
@@ -156,7 +158,7 @@ def first_rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "r
     return rates
 
 
-def _rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
+def common_rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
     """The same, as far as half of the runs have so many."""
     rates = first_rates(group, corrections)
     enough = 2 * (~np.isnan(rates)).sum(axis=0) >= group.runs

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gpcjax.report import style, words
-from gpcjax.report.curves import WINDOW, learning_curves, line
-from gpcjax.report.groups import Group, unique
+from gpcjax.report.curves import WINDOW, common_rates, learning_curves, line
+from gpcjax.report.groups import unique
 from gpcjax.report.statistics import mean_band, paired_difference, walking_mean
 from gpcjax.reproduce.parts import ROWS
 from gpcjax.reproduce.results import Experiment
@@ -41,7 +41,7 @@ def rates(experiment: Experiment) -> Figure:
             study.errors, axes[: len(study.errors)], axes[len(study.errors) :], strict=True
         ):
             for algo in study.algorithms:
-                curves = _long_enough(experiment, experiment.group(algo, error))
+                curves = common_rates(experiment.group(algo, error), experiment.corrections)
                 if not curves.size:
                     continue
                 x, colour = np.arange(1, curves.shape[1] + 1), style.colour(algo)
@@ -93,7 +93,7 @@ def ablation_rates(rows: Mapping[str, Experiment]) -> Figure:
         figure, (axis,) = style.panels(("",))
         longest = 1
         for name, experiment in rows.items():
-            curves = _long_enough(experiment, experiment.only)
+            curves = common_rates(experiment.only, experiment.corrections)
             if not curves.size:
                 continue
             if name in ("i", "iii"):
@@ -160,13 +160,6 @@ def dependence(experiment: Experiment) -> Figure:
             ],
         )
     return figure
-
-
-def _long_enough(experiment: Experiment, group: Group) -> Float[np.ndarray, "runs corrections"]:
-    """Learning rates as far as half of the runs have so many corrections."""
-    curves = experiment.rates(group)
-    enough = 2 * (~np.isnan(curves)).sum(axis=0) >= max(group.runs, 1)
-    return curves[:, : curves.shape[1] if enough.all() else int(enough.argmin())]
 
 
 def _walked(axis: Axes, x: np.ndarray, values: Float[np.ndarray, "runs points"], colour: str) -> None:
