@@ -64,7 +64,7 @@ def _evaluate_on_host(env: HostEnv, policy: Function, starts: int) -> Returns:
     )
     returns, length, going = np.zeros(starts), np.zeros(starts, int), list(range(starts))
     while going:
-        action = np.asarray(act(obs))
+        action = env.scaled(np.asarray(act(obs)))
         for place in tuple(going):
             outcome = simulations[place].step(action[:, place])
             obs[:, place] = outcome.obs

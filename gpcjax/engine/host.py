@@ -59,7 +59,10 @@ class Run:
         self.obs = self._simulation.reset(self._seeds[0])
 
     def step(self, place: int, action: Float[np.ndarray, " action"], news: News) -> None:
-        """One step, written into the news of the lane at `place`; a new episode if this one is over."""
+        """One step with an action between the bounds of the task, written into the news of the lane at `place`.
+
+        If the episode is over, a new one begins.
+        """
         outcome = self._simulation.step(action)
         news.obs[:, place], news.reward[place] = outcome.obs, outcome.reward
         news.terminated[place], news.truncated[place] = outcome.terminated, outcome.truncated
@@ -98,8 +101,9 @@ class HostLoop(eqx.Module):
             places = np.flatnonzero(news.stepped).tolist()
             if not places:
                 return
+            actions = self.env.scaled(chosen[:-1])
             for place in places:
-                runs[place].step(place, chosen[:-1, place], news)
+                runs[place].step(place, actions[:, place], news)
 
     def tick(
         self, block: Lane, news: Float[Array, "rows lanes"], last: Bool[Array, ""]

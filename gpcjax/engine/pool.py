@@ -29,8 +29,8 @@ from gpcjax.teachers.base import Teacher
 CHUNK_SECONDS = 0.02
 """About how long the compiled program runs between two looks of the host."""
 
-ENTER = 16
-"""Lanes that are put into a block by one call, at most."""
+ENTER, ENTER_BYTES = 16, 1 << 22
+"""Lanes that are put into a block by one call, at most; fewer of large ones, as each call is filled up with copies."""
 
 MOST_ROUNDS = 4096
 """Rounds between two looks at most: a chunk that ends early, for want of lanes, tells nothing of their length."""
@@ -289,7 +289,8 @@ class _Block:
 
             return (jax.lax.fori_loop(0, count, one, block),)
 
-        at_once = min(ENTER, self.tier.lanes)
+        size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(entries[:1]))
+        at_once = min(ENTER, self.tier.lanes, max(1, ENTER_BYTES // max(size, 1)))
         free = [place for place in range(self.tier.lanes) if place not in self.runs]
         for first in range(0, len(entries), at_once):
             batch = entries[first : first + at_once]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 
 class Outcome(NamedTuple):
-    """What one step of a simulation brought."""
+    """What one step of a simulation brought, as gymnasium gives it: every step pays for a conversion."""
 
     obs: Float[np.ndarray, " obs"]
     reward: float
@@ -45,6 +45,8 @@ class HostEnv:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
     action_size: int = field(init=False)
+    _low: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
+    _high: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.max_steps < 1:
@@ -59,6 +61,14 @@ class HostEnv:
             )
         object.__setattr__(self, "obs_size", int(observations[0]))
         object.__setattr__(self, "action_size", int(actions.shape[0]))
+        object.__setattr__(self, "_low", np.asarray(env.action_space.low, np.float64))
+        object.__setattr__(self, "_high", np.asarray(actions, np.float64))
+
+    def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
+        """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
+        shape = (-1,) + (1,) * (actions.ndim - 1)
+        centre, reach = (self._low + self._high) / 2, (self._high - self._low) / 2
+        return centre.reshape(shape) + reach.reshape(shape) * actions.clip(-1.0, 1.0)
 
     def simulate(self) -> "Simulation":
         """A simulation of its own; `reset` comes first."""
@@ -84,8 +94,6 @@ class Simulation:
 
     def __init__(self, env: Any, max_steps: int):
         self._env, self._max_steps, self._time = env, max_steps, 0
-        low, high = (np.asarray(bound, np.float64) for bound in (env.action_space.low, env.action_space.high))
-        self._centre, self._reach = (low + high) / 2, (high - low) / 2
 
     def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
         """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
@@ -93,12 +101,10 @@ class Simulation:
         return np.asarray(self._env.reset(seed=seed)[0], np.float64)
 
     def step(self, action: Float[np.ndarray, " action"]) -> Outcome:
-        """One step with `action`, in [-1, 1]: what is beyond is clipped, then scaled to the bounds of the task."""
-        obs, reward, terminated, _, _ = self._env.step(self._centre + self._reach * action.clip(-1.0, 1.0))
+        """One step with an action between the bounds of the task (`HostEnv.scaled`)."""
+        obs, reward, terminated, _, _ = self._env.step(action)
         self._time += 1
-        return Outcome(
-            np.asarray(obs, np.float64), float(reward), bool(terminated), self._time >= self._max_steps
-        )
+        return Outcome(obs, reward, terminated, self._time >= self._max_steps)
 
 
 def lunar_lander(max_steps: int = 1000) -> HostEnv:

@@ -7,35 +7,70 @@ A *root* is a square matrix S of fixed size with
 It starts as L^-1, the inverse of the Cholesky factor, and stays exactly that as long as points are appended: a new
 point adds one row. A point is removed by a Householder reflection Q that turns column i of S into a multiple of one
 unit vector; Q S has the same Gram matrix, its row i carries all that S knew of point i, and dropping that row leaves
-the root of the remaining points. Row and column i are then free for the next point, in place. All that is a
-matrix-vector product, one of two vectors, and one rank-one pass, with no loop over columns; and as Q is orthogonal,
-thousands of replacements lose no digits.
+the root of the remaining points. Row and column i are then free for the next point, in place. All that takes one pass
+over S that reads and one, of rank one, that writes; and as Q is orthogonal, thousands of replacements lose no digits.
 
-`whitened` is S k, k the covariances of an input with the points: its squared norm is the variance that they explain.
+With k the covariances of an input with the points, |S k|^2 is the variance that they explain, and S^T S k are the
+weights with which they do. Both, and a column of the precision matrix S^T S, come from one pass over the root.
 
-Roots are read and written where they are: `roots` holds one or many, `where` is the place of the one that is meant (the
-indices of the first axes), and only the rows of its `count` points are touched, some at a time.
+A root is kept in tiles of `ROWS` times up to `COLUMNS` numbers: as a square that is padded to whole tiles, or `lower`,
+of points that are only appended, as the tiles up to the diagonal. Roots are read and written where they are: `roots`
+holds one or many, `where` is the place of the one that is meant (the indices of the first axes), and only tiles that
+its `count` points reach are touched.
 """
-
-from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
 import gpcjax._x64  # noqa: F401
 
-Root = Float[Array, "n n"]
-Roots = Float[Array, "*places n n"]
+Roots = Float[Array, "..."]
+"""One or many: (*places, rows, columns), or `lower` ones (*places, tiles, rows, columns)."""
+
+Square = Float[Array, "n n"]
 Vector = Float[Array, " n"]
 Places = tuple[Int[Array, ""], ...]
 
-ROWS = 32
-"""Rows that are read at once: they stay in the cache for all that is done with them."""
+ROWS, COLUMNS = 8, 128
+"""Of a tile. Smaller roots have tiles as wide as they are (`benchmarks/README.md`)."""
 
-COLUMNS = 256
-"""Of a lower triangular root, columns are read up to the next multiple of this."""
+
+def empty(capacity: int, lower: bool = False) -> Roots:
+    """The root of no points, with room for `capacity`."""
+    size, width = _padded(capacity), _width(capacity)
+    return jnp.zeros((_first_tile(size // ROWS, width), ROWS, width) if lower else (size, size))
+
+
+def grow(root: Roots, capacity: int, lower: bool = False) -> Roots:
+    """The same root with room for `capacity` points, as many as it has or more."""
+    room = empty(capacity, lower).shape
+    return jnp.pad(root, [(0, new - old) for new, old in zip(room, root.shape, strict=True)])
+
+
+def dense(root: Roots, capacity: int, lower: bool = False) -> Square:
+    """S as a matrix."""
+    if not lower:
+        return root[:capacity, :capacity]
+    size, width = _padded(capacity), _width(capacity)
+    panels = []
+    for panel in range(size // ROWS):
+        first, end = _first_tile(panel, width), _first_tile(panel + 1, width)
+        rows = jnp.moveaxis(root[first:end], 0, 1).reshape(ROWS, -1)
+        panels.append(jnp.pad(rows, ((0, 0), (0, size - rows.shape[1]))))
+    return jnp.concatenate(panels)[:capacity, :capacity]
+
+
+class Reading(eqx.Module):
+    """What a root tells of an input."""
+
+    explained: Float[Array, ""]
+    """|S k|^2: the part of the input's variance that the points explain."""
+    solved: Vector
+    """S^T S k = (K + noise I)^-1 k."""
+    column: Vector
+    """Of the precision matrix S^T S, for the point that was asked for."""
 
 
 class Edit(eqx.Module):
@@ -51,15 +86,76 @@ class Edit(eqx.Module):
     """Of the new point. The precision matrix grows by row row^T after the old point is gone."""
 
 
-def whiten(roots: Roots, where: Places, count: Int[Array, ""], covariances: Vector) -> Vector:
-    """S k."""
-    size = min(ROWS, covariances.shape[0])
+def explained(
+    roots: Roots, where: Places, count: Int[Array, ""], covariances: Vector, lower: bool = False
+) -> Float[Array, ""]:
+    """|S k|^2; arguments as of `read`."""
+    k = _pad(covariances)
 
-    def add(start: Int[Array, ""], _: Int[Array, ""], whitened: Vector) -> Vector:
-        rows = take(roots, where, start, (size, covariances.shape[0]))
-        return lax.dynamic_update_slice(whitened, rows @ covariances, (start,))
+    def panel(index: Int[Array, ""], total: Float[Array, ""]) -> Float[Array, ""]:
+        whitened = _whiten(_Panel(roots, where, count, index, k.shape[0], lower), k)
+        return total + (whitened * whitened).sum()
 
-    return _by_rows(covariances.shape[0], count, add, jnp.zeros_like(covariances))
+    return lax.fori_loop(0, _whole(count, ROWS), panel, jnp.zeros(()))
+
+
+def read(
+    roots: Roots,
+    where: Places,
+    count: Int[Array, ""],
+    covariances: Vector,
+    point: Int[Array, ""] | None = None,
+    lower: bool = False,
+) -> Reading:
+    """What the root at `where` tells of an input, and the column of the precision matrix that belongs to a `point`.
+
+    Args:
+        roots, where, count: S.
+        covariances: k, of the input with every point.
+        point: whose column is wanted, of a root that is not `lower`; without it there is none (zeros).
+        lower: how the root is kept. Static.
+    """
+    n, k = covariances.shape[0], _pad(covariances)
+
+    def panel(
+        index: Int[Array, ""], sums: tuple[Array, tuple[Vector, ...]]
+    ) -> tuple[Array, tuple[Vector, ...]]:
+        total, products = sums
+        rows = _Panel(roots, where, count, index, k.shape[0], lower)
+        whitened = _whiten(rows, k)
+        factors = [whitened] if point is None else [whitened, rows.column(point)]
+
+        def add(j: Int[Array, ""], products: tuple[Vector, ...]) -> tuple[Vector, ...]:
+            tile, start = rows.tile(j), j * rows.width
+            sums = (
+                lax.dynamic_slice(product, (start,), (rows.width,)) + part @ tile
+                for part, product in zip(factors, products, strict=True)
+            )
+            return tuple(
+                lax.dynamic_update_slice(product, total, (start,))
+                for product, total in zip(products, sums, strict=True)
+            )
+
+        return total + (whitened * whitened).sum(), lax.fori_loop(0, rows.tiles, add, products)
+
+    products = (jnp.zeros_like(k),) * (1 if point is None else 2)
+    total, products = lax.fori_loop(0, _whole(count, ROWS), panel, (jnp.zeros(()), products))
+    return Reading(total, products[0][:n], jnp.zeros(n) if point is None else products[1][:n])
+
+
+def new_row(
+    solved: Vector, explained: Float[Array, ""], index: Int[Array, ""], prior: Array, noise: Array
+) -> tuple[Float[Array, ""], Vector]:
+    """Deviation of an input, and the row that it adds to a root as point `index`, which the root knows nothing of yet.
+
+    Args:
+        solved, explained: of the input, as `read` gives them.
+        index: of its row.
+        prior: its variance before any data, with noise.
+        noise: what its variance cannot fall below.
+    """
+    deviation = jnp.sqrt(jnp.maximum(prior - explained, noise))
+    return deviation, jnp.where(jnp.arange(solved.shape[0]) == index, 1.0, -solved) / deviation
 
 
 def edit(
@@ -67,26 +163,21 @@ def edit(
     where: Places,
     count: Int[Array, ""],
     index: Int[Array, ""],
-    whitened: Vector,
+    reading: Reading,
     prior: Float[Array, ""],
     noise: Float[Array, ""],
-) -> tuple[Edit, Vector]:
+) -> Edit:
     """What a new point changes that is put into row `index`: the first free one, or that of a point that goes.
 
     Args:
         roots, where, count: S.
         index: of the point, at most `count`.
-        whitened: S k of the new point, where k knows the point that goes too.
-        prior: variance of the new point before any data, with noise.
-        noise: what its variance cannot fall below.
-
-    Returns:
-        The edit, and the old point's column p of the old precision matrix: weights a become a - p (a[index] / p[index])
-        without it.
+        reading: of the new point. If it replaces one: with that one's column, and from covariances that know it too.
+        prior, noise: see `new_row`.
     """
-    n = whitened.shape[0]
+    n = reading.solved.shape[0]
     here, replaces = jnp.arange(n) == index, index < count
-    column = lax.dynamic_slice(roots, _starts((*where, 0, index)), (1,) * len(where) + (n, 1)).reshape(n)
+    column = _slice(roots, where, (0, index), (n, 1))[:, 0]
     norm = jnp.sqrt((column * column).sum())
     pivot = jnp.where(here, column, 0.0).sum()
     # The sign that adds to the pivot: the reflector is then never a difference of equals.
@@ -94,119 +185,140 @@ def edit(
     reflector = jnp.where(replaces, column + jnp.where(here, shift, 0.0), 0.0)
     # |reflector|^2 / 2 = norm^2 + |pivot| norm
     scaled = reflector / jnp.where(replaces, norm * (norm + jnp.abs(pivot)), 1.0)
-    # What the other points explain: (Q S) k without its row `index`; column `index` of Q S is zero elsewhere.
-    remaining = jnp.where(here, 0.0, whitened - scaled * (reflector * whitened).sum())
-    old, product = _products(roots, where, count, (column, remaining))
-    image = old + shift * take(roots, where, index, (1, n))[0]
-    product = product - (remaining * scaled).sum() * image
-    deviation = jnp.sqrt(jnp.maximum(prior - (remaining * remaining).sum(), noise))
-    row = jnp.where(here, 1.0, -product) / deviation
-    return Edit(index, replaces, scaled, image, row), old
+    image = reading.column + shift * _slice(roots, where, (index, 0), (1, n))[0]
+    # Without the old point, whose row of Q S is column^T / norm: what it explained, and its part in the weights.
+    part = jnp.where(replaces, jnp.where(here, reading.solved, 0.0).sum() / norm, 0.0)
+    share = part / jnp.where(replaces, norm, 1.0)
+    solved = reading.solved - jnp.where(replaces, reading.column, 0.0) * share
+    _, row = new_row(solved, reading.explained - part * part, index, prior, noise)
+    return Edit(index, replaces, scaled, image, row)
 
 
 def write(roots: Roots, where: Places, count: Int[Array, ""], edit: Edit, given: Bool[Array, ""]) -> Roots:
-    """The roots with an edit of the one at `where`; as they were if it is not `given`."""
-    n = edit.row.shape[0]
-    size = min(ROWS, n)
-    first = jnp.where(edit.replaces, 0, edit.index // size)
-    last = jnp.where(edit.replaces, (count + size - 1) // size, first + 1)
+    """The roots with an edit of the one at `where`; as they were if it is not `given`. Not for a `lower` root."""
+    scaled, image = _pad(edit.scaled), _pad(edit.image)
+    size = scaled.shape[0]
 
-    def change(start: Int[Array, ""], fresh: Int[Array, ""], roots: Roots) -> Roots:
-        rows, index = take(roots, where, start, (size, n)), start + jnp.arange(size)
-        scaled = jnp.where(index >= fresh, lax.dynamic_slice(edit.scaled, (start,), (size,)), 0.0)
-        others = jnp.where(jnp.arange(n) == edit.index, 0.0, rows - scaled[:, None] * edit.image[None])
-        changed = jnp.where((index == edit.index)[:, None], edit.row[None], others)
-        changed = jnp.where(edit.replaces | (index == edit.index)[:, None], changed, rows)
-        shape = (1,) * len(where) + (size, n)
-        return lax.dynamic_update_slice(roots, changed.reshape(shape), _starts((*where, start, 0)))
+    def panel(index: Int[Array, ""], roots: Roots) -> Roots:
+        part = lax.dynamic_slice(scaled, (index * ROWS,), (ROWS,))
 
-    def body(i: Int[Array, ""], roots: Roots) -> Roots:
-        return change(jnp.minimum(i * size, n - size), i * size, roots)
+        def change(j: Int[Array, ""], roots: Roots) -> Roots:
+            rows = _Panel(roots, where, count, index, size, lower=False)
+            start = j * rows.width
+            columns = lax.dynamic_slice(image, (start,), (rows.width,))
+            goes = start + jnp.arange(rows.width) == edit.index
+            tile = jnp.where(goes[None], 0.0, rows.tile(j) - part[:, None] * columns[None])
+            return _put(roots, where, (index * ROWS, start), tile)
 
-    return lax.fori_loop(first, jnp.where(given, last, first), body, roots)
+        return lax.fori_loop(0, _whole(count, _width(size)), change, roots)
 
-
-def append(
-    roots: Roots,
-    where: Places,
-    count: Int[Array, ""],
-    covariances: Vector,
-    prior: Float[Array, ""],
-    noise: Float[Array, ""],
-) -> tuple[Float[Array, ""], Vector]:
-    """Deviation of an input, and the row that it adds as point `count` of a root to which points were only appended.
-
-    Such a root is lower triangular. It is read once, and no more of it than that. `prior` and `noise` as in `edit`.
-    """
-    n = covariances.shape[0]
-    explained, product, size = jnp.zeros(()), jnp.zeros(n), min(ROWS, n)
-    for first in range(0, n, COLUMNS):
-        end = min(first + COLUMNS, n)
-
-        def add(
-            start: Int[Array, ""], fresh: Int[Array, ""], sums: tuple[Array, Array], end: int = end
-        ) -> tuple[Array, Array]:
-            rows = take(roots, where, start, (size, end))
-            whitened = jnp.where(start + jnp.arange(size) >= fresh, rows @ covariances[:end], 0.0)
-            return sums[0] + (whitened * whitened).sum(), sums[1] + whitened @ rows
-
-        explained, partial = _by_rows(end, count, add, (explained, jnp.zeros(end)), first, min(size, end))
-        product = product.at[:end].add(partial)
-    deviation = jnp.sqrt(jnp.maximum(prior - explained, noise))
-    return deviation, jnp.where(jnp.arange(n) == count, 1.0, -product) / deviation
+    panels = jnp.where(given & edit.replaces, _whole(count, ROWS), 0)
+    roots = lax.fori_loop(0, panels, panel, roots)
+    index = jnp.where(given, edit.index, size)
+    return roots.at[(*where, index)].set(_pad(edit.row), mode="drop")
 
 
-def _products(
-    roots: Roots, where: Places, count: Int[Array, ""], vectors: tuple[Vector, ...]
-) -> tuple[Vector, ...]:
-    """v^T S for each vector, one by one: as a product of matrices, XLA would compile it badly inside of a loop."""
-    n = vectors[0].shape[0]
-    size = min(ROWS, n)
+def append(roots: Roots, where: Places, index: Int[Array, ""], row: Vector) -> Roots:
+    """The `lower` roots with a row for point `index` of the one at `where`; as they were if there is no such row."""
+    n, row = row.shape[0], _pad(row)
+    width = _width(n)
+    panel = _Panel(roots, where, index + 1, index // ROWS, n, lower=True)
 
-    def add(start: Int[Array, ""], fresh: Int[Array, ""], sums: tuple[Vector, ...]) -> tuple[Vector, ...]:
-        rows, counts = take(roots, where, start, (size, n)), start + jnp.arange(size) >= fresh
-        parts = (jnp.where(counts, lax.dynamic_slice(v, (start,), (size,)), 0.0) for v in vectors)
-        return tuple(total + part @ rows for total, part in zip(sums, parts, strict=True))
+    def put(j: Int[Array, ""], roots: Roots) -> Roots:
+        part = lax.dynamic_slice(row, (j * width,), (width,))
+        return _put(roots, where, (panel.first + j, index % ROWS, 0), part)
 
-    return _by_rows(n, count, add, tuple(map(jnp.zeros_like, vectors)))
+    return lax.fori_loop(0, jnp.where(index < n, panel.tiles, 0), put, roots)
 
 
-def _by_rows(
-    n: int,
-    count: Int[Array, ""],
-    body: Callable[[Int[Array, ""], Int[Array, ""], PyTree], PyTree],
-    carry: PyTree,
-    first: int = 0,
-    size: int | None = None,
-) -> PyTree:
-    """`body(start, fresh, carry)` for `size` rows from each start, up to the row of the last point.
+class _Panel:
+    """A row of tiles of the root at `where`: rows `index * ROWS` and following."""
 
-    The last rows of a root whose size is no multiple begin early: those before `fresh` have been there already.
-    """
-    size = min(ROWS, n) if size is None else size
-    blocks = (jnp.clip(count, first, n) - first + size - 1) // size
+    def __init__(
+        self,
+        roots: Roots,
+        where: Places,
+        count: Int[Array, ""],
+        index: Int[Array, ""],
+        size: int,
+        lower: bool,
+    ):
+        self._roots, self._where, self._index, self._lower = roots, where, index, lower
+        self.width = _width(size)
+        self.first = _first_tile(index, self.width)
+        self.tiles = index * ROWS // self.width + 1 if lower else _whole(count, self.width)
+        """That are not zero."""
 
-    def one(i: Int[Array, ""], carry: PyTree) -> PyTree:
-        fresh = first + i * size
-        return body(jnp.minimum(fresh, n - size), fresh, carry)
+    def tile(self, j: Int[Array, ""]) -> Float[Array, "rows columns"]:
+        if self._lower:
+            return _slice(self._roots, self._where, (self.first + j, 0, 0), (1, ROWS, self.width))[0]
+        return _slice(self._roots, self._where, (self._index * ROWS, j * self.width), (ROWS, self.width))
 
-    return lax.fori_loop(0, blocks, one, carry)
+    def column(self, point: Int[Array, ""]) -> Float[Array, " rows"]:
+        """Of a root that is not `lower`."""
+        return _slice(self._roots, self._where, (self._index * ROWS, point), (ROWS, 1))[:, 0]
 
 
-def take(
-    array: Array, where: Places, start: Int[Array, ""] | int = 0, shape: tuple[int, ...] | None = None
+def _whiten(panel: _Panel, covariances: Vector) -> Float[Array, " rows"]:
+    """S k for the rows of a panel."""
+
+    def add(j: Int[Array, ""], whitened: Vector) -> Vector:
+        part = lax.dynamic_slice(covariances, (j * panel.width,), (panel.width,))
+        return whitened + panel.tile(j) @ part
+
+    return lax.fori_loop(0, panel.tiles, add, jnp.zeros(ROWS))
+
+
+def _padded(n: int) -> int:
+    """Numbers of a vector that covers whole tiles."""
+    multiple = ROWS if n <= COLUMNS else COLUMNS
+    return -(-n // multiple) * multiple
+
+
+def _width(n: int) -> int:
+    """Columns of a tile."""
+    return min(_padded(n), COLUMNS)
+
+
+def _first_tile(panel: Int[Array, ""] | int, width: int) -> Int[Array, ""] | int:
+    """Of a panel of a `lower` root: the tiles in all panels before, each as wide as its last row needs."""
+    each = width // ROWS
+    groups = panel // each
+    return each * groups * (groups + 1) // 2 + (panel - each * groups) * (groups + 1)
+
+
+def _whole(count: Int[Array, ""], size: int) -> Int[Array, ""]:
+    """Panels or tiles that hold `count` rows or columns."""
+    return (jnp.asarray(count, jnp.int32) + size - 1) // size
+
+
+def _pad(vector: Vector) -> Float[Array, " padded"]:
+    n = vector.shape[0]
+    return jnp.pad(vector, (0, _padded(n) - n))
+
+
+def _slice(
+    array: Array, where: Places, starts: tuple[Int[Array, ""] | int, ...], shape: tuple[int, ...]
 ) -> Array:
-    """`array[*where]` in one slice, whole or of this shape from `start` on in its first axis."""
-    shape = array.shape[len(where) :] if shape is None else shape
-    starts = _starts((*where, *(start, 0, 0)[: len(shape)]))
-    return lax.dynamic_slice(array, starts, (1,) * len(where) + shape).reshape(shape)
+    return lax.dynamic_slice(array, _starts((*where, *starts)), (1,) * len(where) + shape).reshape(shape)
+
+
+def _put(roots: Roots, where: Places, starts: tuple[Int[Array, ""] | int, ...], part: Array) -> Roots:
+    part = part.reshape((1,) * (roots.ndim - part.ndim) + part.shape)
+    return lax.dynamic_update_slice(roots, part, _starts((*where, *starts)))
+
+
+def take(array: Array, where: Places) -> Array:
+    """`array[*where]` in one slice."""
+    shape = array.shape[len(where) :]
+    return _slice(array, where, (0,) * len(shape), shape)
 
 
 def _starts(indices: tuple[Int[Array, ""] | int, ...]) -> list[Int[Array, ""]]:
     return [jnp.asarray(index, jnp.int32) for index in indices]
 
 
-def cholesky(gram: Root, active: Bool[Array, " n"], noise: Float[Array, ""]) -> Root:
+def cholesky(gram: Square, active: Bool[Array, " n"], noise: Float[Array, ""]) -> Square:
     """Masked lower Cholesky factor of K + noise I: the identity on unused rows. O(n^3), for GPC-NS."""
     both = active[:, None] & active[None]
     diagonal = jnp.eye(gram.shape[0], dtype=gram.dtype)
@@ -214,7 +326,7 @@ def cholesky(gram: Root, active: Bool[Array, " n"], noise: Float[Array, ""]) -> 
     return lax.linalg.cholesky(matrix, symmetrize_input=False)
 
 
-def solve(lower: Root, vector: Vector, transpose: bool = False) -> Vector:
+def solve(lower: Square, vector: Vector, transpose: bool = False) -> Vector:
     """L^-1 v, or L^-T v with `transpose`."""
     solution = lax.linalg.triangular_solve(
         lower, vector[:, None], left_side=True, lower=True, transpose_a=transpose

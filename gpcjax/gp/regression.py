@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp import factor
+from gpcjax.gp.factor import Reading
 from gpcjax.gp.kernels import Kernel
 
 Places = factor.Places
@@ -40,8 +41,8 @@ class Posterior(eqx.Module):
     """Number of points in use, int32."""
     scale: Float[Array, "*places d"]
     """What each input dimension is multiplied by before the kernel."""
-    matrix: Float[Array, "*places n n"]
-    """Inverse root S (fixed scale) or Cholesky factor L (normalised)."""
+    matrix: factor.Roots
+    """Inverse root S (fixed scale), as `gpcjax.gp.factor` keeps it, or Cholesky factor L (normalised; n times n)."""
     weights: Float[Array, "*places n"]
     """(K + noise I)^-1 targets; zeros in a model that keeps none."""
 
@@ -107,7 +108,7 @@ class GaussianProcess(eqx.Module):
 
     def init(self, capacity: int, scale: Float[Array, " d"]) -> Posterior:
         """The empty dictionary."""
-        empty = jnp.eye(capacity) if self.normalise else jnp.zeros((capacity, capacity))
+        empty = jnp.eye(capacity) if self.normalise else factor.empty(capacity, self.lower)
         return Posterior(
             points=jnp.zeros((capacity, scale.shape[0])),
             targets=jnp.zeros(capacity),
@@ -122,30 +123,45 @@ class GaussianProcess(eqx.Module):
         values = self.kernel.covariances(posterior.points, point, posterior.scale)
         return jnp.where(posterior.active, values, 0.0)
 
-    def whiten(
-        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
-    ) -> Float[Array, " n"]:
-        """S k, or L^-1 k: its squared norm is the variance that the points explain."""
-        if self.normalise:
-            return factor.solve(factor.take(posteriors.matrix, where), covariances)
-        return factor.whiten(posteriors.matrix, where, posteriors.count[where], covariances)
+    def read(
+        self,
+        posteriors: Posterior,
+        where: Places,
+        covariances: Float[Array, " n"],
+        point: Int[Array, ""] | None = None,
+    ) -> Reading:
+        """What the posterior at `where` tells of an input with these covariances, and of a `point` that may go.
 
-    def deviation(self, whitened: Float[Array, " n"]) -> Float[Array, ""]:
-        """Predictive standard deviation of the input with these whitened covariances, noise included (2.9).
+        With normalisation only what the points explain: all else is made anew by `put`.
+        """
+        if self.normalise:
+            whitened = factor.solve(factor.take(posteriors.matrix, where), covariances)
+            nothing = jnp.zeros_like(covariances)
+            return Reading((whitened * whitened).sum(), nothing, nothing)
+        count = posteriors.count[where]
+        return factor.read(posteriors.matrix, where, count, covariances, point, self.lower)
+
+    def deviation(self, explained: Float[Array, ""]) -> Float[Array, ""]:
+        """Predictive standard deviation of an input of whose variance the points explain this, noise included (2.9).
 
         Rounding cannot take it below that of the noise.
         """
-        return jnp.sqrt(jnp.maximum(self._prior - (whitened * whitened).sum(), self.noise))
+        return jnp.sqrt(jnp.maximum(self._prior - explained, self.noise))
 
     def uncertainty(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, ""]:
         """Predictive standard deviation at `point`."""
-        return self.deviation(self.whiten(posterior, (), self.covariances(posterior, point)))
+        covariances = self.covariances(posterior, point)
+        if self.normalise:
+            return self.deviation(self.read(posterior, (), covariances).explained)
+        return self.deviation(
+            factor.explained(posterior.matrix, (), posterior.count, covariances, self.lower)
+        )
 
     def put(
         self,
         posteriors: Posterior,
         where: Places,
-        whitened: Float[Array, " n"],
+        reading: Reading,
         point: Float[Array, " d"],
         target: Float[Array, ""],
         index: Int[Array, ""],
@@ -153,8 +169,8 @@ class GaussianProcess(eqx.Module):
     ) -> "Posterior | Placed":
         """What one point changes that is appended (`index == count`) or replaces another (`index < count`).
 
-        `whitened` is that of `point`. The caller keeps `index` below the capacity wherever `write` is true; where it is
-        false, nothing changes. For `write`.
+        `reading` is that of `point`, with the column of the one that it replaces. The caller keeps `index` below the
+        capacity wherever `write` is true; where it is false, nothing changes. For `write`.
         """
         before = small(posteriors, where)
         here = jnp.arange(before.capacity) == index
@@ -165,13 +181,11 @@ class GaussianProcess(eqx.Module):
             before = take(posteriors, where)
             data = dataclasses.replace(before, points=points, targets=targets, count=count)
             return self._refactor(before, data, write)
-        edit, column = factor.edit(
-            posteriors.matrix, where, before.count, index, whitened, self._prior, self.noise
-        )
+        edit = factor.edit(posteriors.matrix, where, before.count, index, reading, self._prior, self.noise)
         weights = before.weights
         if self.keeps_weights:
-            share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(column, index), 1.0)
-            others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - column * share), weights)
+            share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(reading.column, index), 1.0)
+            others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - reading.column * share), weights)
             weights = jnp.where(write, others + edit.row * (edit.row * targets).sum(), weights)
         return Placed(edit, before.count, count, point, target, weights, write)
 
@@ -189,13 +203,9 @@ class GaussianProcess(eqx.Module):
         no part of it.
         """
         posterior = small(posteriors, where)
-        deviation, row = factor.append(
-            posteriors.matrix,
-            where,
-            posterior.count,
-            self.covariances(posterior, point),
-            self._prior,
-            self.noise,
+        reading = self.read(posteriors, where, self.covariances(posterior, point))
+        deviation, row = factor.new_row(
+            reading.solved, reading.explained, posterior.count, self._prior, self.noise
         )
         return deviation, Appended(posterior.count, posterior.count + 1, point, target, row)
 
@@ -208,9 +218,11 @@ class GaussianProcess(eqx.Module):
         def pad(array: Array) -> Array:
             return jnp.pad(array, [(0, capacity - old)] + [(0, 0)] * (array.ndim - 1))
 
-        matrix = jnp.pad(posterior.matrix, (0, capacity - old))
         if self.normalise:
-            matrix = matrix + jnp.diag((jnp.arange(capacity) >= old).astype(matrix.dtype))
+            unused = jnp.diag((jnp.arange(capacity) >= old).astype(posterior.matrix.dtype))
+            matrix = jnp.pad(posterior.matrix, (0, capacity - old)) + unused
+        else:
+            matrix = factor.grow(posterior.matrix, capacity, self.lower)
         return Posterior(
             points=pad(posterior.points),
             targets=pad(posterior.targets),
@@ -219,6 +231,11 @@ class GaussianProcess(eqx.Module):
             matrix=matrix,
             weights=pad(posterior.weights),
         )
+
+    @property
+    def lower(self) -> bool:
+        """Whether its roots are `lower` ones: of points that are only appended."""
+        return not (self.normalise or self.replaces)
 
     @property
     def _prior(self) -> Float[Array, ""]:
@@ -258,7 +275,7 @@ def take(posteriors: Posterior, where: Places) -> Posterior:
 
 def small(posteriors: Posterior, where: Places) -> Posterior:
     """The one at `where`, with an empty matrix: the others of its fields are small."""
-    nothing = jnp.zeros((*posteriors.matrix.shape[: len(where)], 0, 0))
+    nothing = jnp.zeros((*posteriors.matrix.shape[: len(where)], 0))
     return take(eqx.tree_at(lambda old: old.matrix, posteriors, nothing), where)
 
 
@@ -267,11 +284,8 @@ def write(posteriors: Posterior, where: Places, change: Posterior | Placed | App
     if isinstance(change, Posterior):
         return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), posteriors, change)
     if isinstance(change, Appended):
-        index, matrix = (
-            change.index,
-            posteriors.matrix.at[(*where, change.index)].set(change.row, mode="drop"),
-        )
-        weights = posteriors.weights
+        index, weights = change.index, posteriors.weights
+        matrix = factor.append(posteriors.matrix, where, change.index, change.row)
     else:
         index = jnp.where(change.given, change.edit.index, change.edit.row.shape[0])
         matrix = factor.write(posteriors.matrix, where, change.before, change.edit, change.given)

@@ -123,26 +123,28 @@ class GPC(Learner):
         self, humans: Posterior, where: Places, pair: Float[Array, " pair"], advice: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Callable[[Bool[Array, ""], Bool[Array, ""]], Posterior | Placed | Appended]]:
         """sigma_h of a pair, and what it changes: a function of whether it is learned, and of whether H is full."""
-        if not (self.human.normalise or self.human.replaces):
+        if self.human.lower:
             sigma, appended = self.human.append(humans, where, pair, advice)
             return sigma, lambda learns, _: appended.only(learns)
         covariances = self.human.covariances(small(humans, where), pair)
-        whitened = self.human.whiten(humans, where, covariances)
+        nearest = covariances.argmax()
+        reading = self.human.read(humans, where, covariances, nearest)
 
         def learn(learns: Bool[Array, ""], full: Bool[Array, ""]) -> Posterior | Placed:
             index = humans.count[where]
             if self.on_full == "replace-nearest":
-                index = jnp.where(full, covariances.argmax(), index)
-            return self.human.put(humans, where, whitened, pair, advice, index, learns)
+                index = jnp.where(full, nearest, index)
+            return self.human.put(humans, where, reading, pair, advice, index, learns)
 
-        return self.human.deviation(whitened), learn
+        return self.human.deviation(reading.explained), learn
 
     def _correct(self, states, where, obs, action, advice):
         """Alg. 2, lines 7 to 14."""
         policy = small(states.policy, where)
         covariances = self.policy.covariances(policy, obs)
-        whitened = self.policy.whiten(states.policy, where, covariances)
-        sigma_policy = self.policy.deviation(whitened)
+        nearest = covariances.argmax()
+        reading = self.policy.read(states.policy, where, covariances, nearest)
+        sigma_policy = self.policy.deviation(reading.explained)
         sigma_human, learn_human = self._human(states.human, where, _pair(obs, action), advice)
         adaptive = sigma_policy + sigma_human + self.constant_rate  # (3.5)
         rate = adaptive if self.static_rate is None else self.static_rate
@@ -157,7 +159,7 @@ class GPC(Learner):
         finite = jnp.isfinite(target) & jnp.isfinite(sigma_policy) & jnp.isfinite(sigma_human)
         learns = given & finite
 
-        index = jnp.where(replaces, covariances.argmax(), policy.count)
+        index = jnp.where(replaces, nearest, policy.count)
         policy_learns, human_learns = learns, learns
         if self.on_full == "error":
             policy_learns = human_learns = learns & ~full
@@ -165,9 +167,9 @@ class GPC(Learner):
             policy_learns, human_learns = learns & ~policy_full, learns & ~human_full
         else:
             replaces = replaces | policy_full
-            index = jnp.where(policy_full, covariances.argmax(), index)
+            index = jnp.where(policy_full, nearest, index)
 
-        policy = self.policy.put(states.policy, where, whitened, obs, target, index, policy_learns)
+        policy = self.policy.put(states.policy, where, reading, obs, target, index, policy_learns)
         human = learn_human(human_learns, human_full)
         finite &= jnp.isfinite(_numbers(human)).all() | ~human_learns
         finite &= jnp.isfinite(policy.weights).all()

@@ -105,8 +105,8 @@ def _regression(
 
     def put(posterior: Posterior, pair: Any) -> tuple[Posterior, None]:
         point, target = pair[0][None], pair[1]
-        whitened = process.whiten(posterior, (), process.covariances(posterior, point))
-        change = process.put(posterior, (), whitened, point, target, posterior.count, jnp.array(True))
+        reading = process.read(posterior, (), process.covariances(posterior, point))
+        change = process.put(posterior, (), reading, point, target, posterior.count, jnp.array(True))
         return regression.write(posterior, (), change), None
 
     posterior, _ = jax.lax.scan(put, process.init(points.size, jnp.ones(1)), (points, targets))

@@ -233,7 +233,7 @@ def reset(env: Env | HostEnv, key: PRNGKeyArray) -> State | OnHost:
 def advance(env: Env | HostEnv, at: State | OnHost, action: Array) -> State | OnHost:
     if isinstance(env, Env):
         return _step(env, at, action)
-    got = at.simulation.step(np.asarray(action))
+    got = at.simulation.step(env.scaled(np.asarray(action)))
     return OnHost(at.simulation, got.obs, at.time + 1, got.reward, got.terminated or got.truncated)
 
 

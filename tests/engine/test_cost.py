@@ -72,9 +72,9 @@ def test_no_block_is_copied(used):
     """The matrices of all lanes are updated in place: a copy at each correction would cost more than all else."""
     for block in used._blocks:
         text = block._programs["advance"].as_text()
-        lanes, tier = block.tier.lanes, block.tier
-        for capacity in (tier.policy_capacity, tier.human_capacity):
-            shape = re.escape(f"f64[{lanes},1,{capacity},{capacity}]")
+        state = block.lanes.state
+        for matrix in (state.policy.matrix, state.human.matrix):
+            shape = re.escape(f"f64[{','.join(map(str, matrix.shape))}]")
             assert re.search(shape, text)
             assert not re.search(rf"= {shape}\S* copy\(", text)
 

@@ -75,15 +75,18 @@ class TestParity:
 
     def test_actions_are_scaled_to_other_bounds(self) -> None:
         """The pendulum's torque goes up to 2; beyond it is clipped."""
-        ours, theirs = HostEnv("swing", "Pendulum-v1", 200).simulate(), gymnasium.make("Pendulum-v1")
+        env, theirs = HostEnv("swing", "Pendulum-v1", 200), gymnasium.make("Pendulum-v1")
+        ours = env.simulate()
         np.testing.assert_array_equal(ours.reset(5), theirs.reset(seed=5)[0])
         actions = random_actions(5, 198, 1).astype(float)
         for action in [*actions, np.array([1.0]), np.array([-7.0])]:
             obs, reward, terminated, truncated, _ = theirs.step(2 * action.clip(-1, 1))
-            got = ours.step(action)
+            got = ours.step(env.scaled(action))
             np.testing.assert_array_equal(got.obs, obs)
             assert (got.reward, got.terminated, got.truncated) == (reward, terminated, truncated)
         assert truncated
+        together = env.scaled(np.array([[-7.0, -0.5, 0.0, 1.0]]))
+        np.testing.assert_array_equal(together, [[-2.0, -1.0, 0.0, 2.0]])
 
     def test_options_reach_gymnasium(self) -> None:
         windy = HostEnv("windy", "LunarLander-v3", 1000, {"continuous": True, "enable_wind": True})
@@ -142,9 +145,12 @@ class TestSimulation:
     @pytest.mark.parametrize("env", [env, host_drift()], ids=lambda env: env.name)
     def test_what_is_beyond_is_clipped(self, env: HostEnv) -> None:
         """Whether the task does that by itself or not."""
-        simulation, actions = env.simulate(), 3 * random_actions(4, 40)
-        assert (np.abs(actions) > 1).any(0).all()
-        assert_same(episode(simulation, 4, actions), episode(simulation, 4, actions.clip(-1, 1)))
+        actions = 3 * random_actions(4, 40).T
+        assert (np.abs(actions) > 1).any(1).all()
+        scaled = env.scaled(actions)
+        np.testing.assert_array_equal(scaled, env.scaled(actions.clip(-1, 1)))
+        simulation = env.simulate()
+        assert_same(episode(simulation, 4, scaled.T), episode(simulation, 4, scaled.T.clip(-1, 1)))
 
     def test_an_observation_is_kept(self) -> None:
         """No later step writes into it."""

@@ -18,7 +18,7 @@ LATTICE = 4
 """Points lie on a lattice of 4 x 4, or near one of its nodes: repeats are frequent."""
 
 SIZES = (5, 33, 100, 300, 520)
-"""No multiples of the rows and columns that are read at once."""
+"""No multiples of a tile."""
 
 
 def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ class Dense:
         root = np.linalg.inv(np.linalg.cholesky(self.matrix))
         if rng is not None:
             root = np.linalg.qr(rng.normal(size=root.shape))[0] @ root
-        return jnp.asarray(np.pad(root, (0, self.capacity - self.count)))
+        return square(root, self.capacity)
 
     def covariances(self, point: np.ndarray) -> jax.Array:
         return jnp.asarray(np.pad(covariance(self.points, point), (0, self.capacity - self.count)))
@@ -74,24 +74,42 @@ class Dense:
         nodes = np.stack(np.meshgrid(*[np.arange(LATTICE)] * 2), -1).reshape(-1, 2)
         k = covariance(self.points[:, None], nodes[None])
         explained = (k * np.linalg.solve(self.matrix, k)).sum(0)
-        whitened = [whiten(root, (), self.count, self.covariances(node)) for node in nodes]
+        parts = np.stack([explain(root, (), self.count, self.covariances(node)) for node in nodes])
         got, expected = (
-            np.sqrt(np.maximum(1 + self.noise - part, self.noise))
-            for part in ((np.stack(whitened) ** 2).sum(1), explained)
+            np.sqrt(np.maximum(1 + self.noise - part, self.noise)) for part in (parts, explained)
         )
         np.testing.assert_allclose(got, expected, atol=tolerance)
 
 
-whiten, write, append = jax.jit(factor.whiten), jax.jit(factor.write), jax.jit(factor.append)
-empty = jnp.zeros((CAPACITY, CAPACITY))
+explain, read, append = jax.jit(factor.explained), jax.jit(factor.read), jax.jit(factor.append)
+explain_lower, read_lower = (
+    jax.jit(lambda *each, function=function: function(*each, lower=True))
+    for function in (factor.explained, factor.read)
+)
+new_row = jax.jit(factor.new_row)
+empty = factor.empty(CAPACITY)
+
+
+def square(root: np.ndarray, capacity: int) -> jax.Array:
+    """As roots are kept that are not lower ones."""
+    size = factor.empty(capacity).shape[0]
+    return jnp.asarray(np.pad(root, (0, size - len(root))))
+
+
+def lower(root: np.ndarray, capacity: int) -> jax.Array:
+    """As roots are kept to which points were only appended."""
+    kept = factor.empty(capacity, lower=True)
+    for index, row in enumerate(root):
+        kept = append(kept, (), index, jnp.asarray(np.pad(row, (0, capacity - len(root)))))
+    return kept
 
 
 @jax.jit
 def put(roots, where, count, index, covariances, noise, given):
     """What `GaussianProcess` does with a root."""
-    whitened = factor.whiten(roots, where, count, covariances)
-    edit, column = factor.edit(roots, where, count, index, whitened, 1.0 + noise, noise)
-    return factor.write(roots, where, count, edit, given), edit, column
+    reading = factor.read(roots, where, count, covariances, index)
+    edit = factor.edit(roots, where, count, index, reading, 1.0 + noise, noise)
+    return factor.write(roots, where, count, edit, given), edit, reading.column
 
 
 near_a_node = st.builds(
@@ -118,14 +136,15 @@ def test_appending_gives_the_inverse_of_the_cholesky_factor():
     rng, dense, root = np.random.default_rng(1), Dense(), empty
     for index in range(CAPACITY):
         root = dense.learn(root, index, rng.normal(size=2))[0]
+    root = factor.dense(root, CAPACITY)
     np.testing.assert_allclose(root @ np.linalg.cholesky(dense.matrix), np.eye(CAPACITY), atol=1e-12)
     np.testing.assert_array_equal(np.triu(root, 1), 0.0)
 
 
 def test_thousands_of_replacements_lose_no_digits():
-    """In a dictionary that was filled first, and of which a block of rows is left over."""
+    """In a dictionary that was filled first."""
     rng, dense = np.random.default_rng(2), Dense(capacity=40)
-    root = jnp.zeros((40, 40))
+    root = factor.empty(40)
     for step in range(5000):
         index = int(rng.integers(40)) if step >= 40 else step
         root = dense.learn(root, index, 6 * rng.normal(size=2))[0]
@@ -142,7 +161,8 @@ def test_what_edit_hands_back_updates_weights():
     for index in (5, 8):
         before, after = (Dense(points=dense.points) for _ in range(2))
         new, edit, column = after.learn(root, index, np.array([0.3, 0.3]))
-        precision = np.asarray(root.T @ root)
+        root_before, new = factor.dense(root, CAPACITY), factor.dense(new, CAPACITY)
+        precision = np.asarray(root_before.T @ root_before)
         weights = precision[:8, :8] @ targets[:8]
         if index < 8:
             np.testing.assert_allclose(column, precision[index], rtol=1e-9, atol=1e-9)
@@ -157,21 +177,29 @@ def test_what_edit_hands_back_updates_weights():
         assert before.count == 8
 
 
+def borders(capacity: int) -> set[int]:
+    """Where tiles end, and on both sides of it."""
+    ends = [*range(0, min(capacity, 3 * factor.ROWS) + 1, factor.ROWS)]
+    ends += [*range(0, capacity + 1, factor.COLUMNS), capacity - capacity % factor.ROWS, capacity]
+    return {end + side for end in ends for side in (-1, 0, 1) if 1 <= end + side <= capacity}
+
+
 @pytest.mark.parametrize("capacity", SIZES)
-def test_on_both_sides_of_the_borders_of_blocks(capacity):
-    """A root that replacements have filled: whitened, one point appended, one replaced in several rows."""
+def test_on_both_sides_of_the_borders_of_tiles(capacity):
+    """A root that replacements have filled: read, one point appended, one replaced in several rows."""
     rng = np.random.default_rng(capacity)
-    borders = [each for size in (factor.ROWS, factor.COLUMNS) for each in range(size, capacity, size)]
-    borders = {*borders[:2], *borders[-2:], 1, capacity - capacity % factor.ROWS, capacity}
-    for count in sorted({border + side for border in borders for side in (-1, 0, 1)}):
-        if not 1 <= count <= capacity:
-            continue
+    for count in sorted(borders(capacity)):
         points, point = rng.uniform(-9, 9, (count, 2)), rng.uniform(-9, 9, 2)
         dense = Dense(1e-2, capacity, points)
         root, k = dense.root(rng), dense.covariances(point)
-        np.testing.assert_allclose(whiten(root, (), count, k), root @ k, atol=1e-12)
-        indices = {0, count - 1, min(count, capacity - 1), (count - 1) // factor.ROWS * factor.ROWS}
-        for index in indices:
+        whole = np.asarray(factor.dense(root, capacity))
+        reading = read(root, (), count, k, count - 1)
+        np.testing.assert_allclose(reading.explained, ((whole @ k) ** 2).sum(), atol=1e-12)
+        assert explain(root, (), count, k) == reading.explained
+        np.testing.assert_allclose(reading.solved, whole.T @ (whole @ k), atol=1e-11)
+        np.testing.assert_allclose(reading.column, whole.T @ whole[:, count - 1], atol=1e-10)
+        assert not read(root, (), count, k).column.any()
+        for index in {0, count - 1, min(count, capacity - 1), (count - 1) // factor.ROWS * factor.ROWS}:
             after = Dense(1e-2, capacity, points)
             new, _, _ = after.learn(root, index, point)
             after.check_inverse(new, 1e-11)
@@ -180,42 +208,65 @@ def test_on_both_sides_of_the_borders_of_blocks(capacity):
 
 
 @pytest.mark.parametrize("capacity", [*SIZES, 700])
-def test_append_against_a_dense_solve(capacity):
-    """One pass, on every side of the borders of blocks; up to 600 points."""
+def test_appending_against_a_dense_solve(capacity):
+    """To a lower root, on both sides of the borders of tiles; up to 600 points."""
     rng, last = np.random.default_rng(capacity), min(capacity, 600)
     points = rng.uniform(-5, 5, (last, 2))
     points[1::7] = points[::7][: len(points[1::7])] + 1e-3
-    lower = np.linalg.cholesky(gram(points, NOISE))
-    inverse = np.linalg.inv(lower)
-    borders = {0, 1, 2, last - 1}.union(
-        *({border - 1, border, border + 1} for border in range(0, last, factor.ROWS))
-    )
-    for count in sorted(count for count in borders if 0 <= count < last):
-        root = jnp.asarray(np.pad(inverse[:count, :count], (0, capacity - count)))
-        dense = Dense(NOISE, capacity, points[:count])
-        deviation, row = map(
-            np.asarray, append(root, (), count, dense.covariances(points[count]), 1 + NOISE, NOISE)
+    lower_factor = np.linalg.cholesky(gram(points, NOISE))
+    inverse = np.linalg.inv(lower_factor)
+    for count in sorted(count for count in {0} | borders(capacity) if count < last):
+        kept = lower(inverse[:count, :count], capacity)
+        matrix = factor.dense(kept, capacity, lower=True)
+        np.testing.assert_array_equal(matrix[:count, :count], np.tril(inverse[:count, :count]))
+        assert not matrix[count:].any() and not matrix[:, count:].any()
+        k = Dense(NOISE, capacity, points[:count]).covariances(points[count])
+        reading = read_lower(kept, (), count, k)
+        assert explain_lower(kept, (), count, k) == reading.explained
+        deviation, row = new_row(reading.solved, reading.explained, count, 1 + NOISE, NOISE)
+        np.testing.assert_allclose(deviation, lower_factor[count, count], rtol=1e-8)
+        np.testing.assert_allclose(
+            row[: count + 1], inverse[count, : count + 1], atol=1e-8 * np.abs(row).max()
         )
-        np.testing.assert_allclose(deviation, lower[count, count], rtol=1e-8)
-        expected = inverse[count, : count + 1]
-        np.testing.assert_allclose(row[: count + 1], expected, atol=1e-8 * np.abs(row).max())
         assert not row[count + 1 :].any()
 
 
 def test_appended_one_by_one_as_put():
-    """Rows of `append` and roots of `write`: the same, along a whole sequence."""
-    rng, capacity = np.random.default_rng(8), 70
-    dense, root = Dense(1e-4, capacity), jnp.zeros((capacity, capacity))
-    appended = root
+    """A lower root and one of which points could go: the same, along a whole sequence."""
+    rng, capacity = np.random.default_rng(8), 150
+    dense, root = Dense(1e-4, capacity), factor.empty(capacity)
+    appended = factor.empty(capacity, lower=True)
     for count in range(capacity):
         point = 3 * rng.normal(size=2)
-        k = dense.covariances(point)
-        deviation, row = append(appended, (), count, k, 1.0 + 1e-4, 1e-4)
-        appended = appended.at[count].set(row)
+        reading = read_lower(appended, (), count, dense.covariances(point))
+        deviation, row = new_row(reading.solved, reading.explained, count, 1.0 + 1e-4, 1e-4)
+        appended = append(appended, (), count, row)
         root, _, _ = dense.learn(root, count, point)
         np.testing.assert_allclose(deviation, 1 / row[count], rtol=1e-12)
-    np.testing.assert_allclose(appended, root, atol=1e-9)
+    appended = factor.dense(appended, capacity, lower=True)
+    np.testing.assert_allclose(appended, factor.dense(root, capacity), atol=1e-9)
     dense.check_inverse(appended, 1e-9)
+
+
+@pytest.mark.parametrize(("small", "large"), [(5, 48), (48, 64), (64, 300), (130, 256), (300, 512)])
+@pytest.mark.parametrize("is_lower", [False, True])
+def test_grown_roots_are_the_same(small, large, is_lower):
+    """And take in further points."""
+    rng = np.random.default_rng(small)
+    dense = Dense(1e-2, small, rng.uniform(-5, 5, (small, 2)))
+    root = np.linalg.inv(np.linalg.cholesky(dense.matrix))
+    grown = factor.grow((lower if is_lower else square)(root, small), large, is_lower)
+    assert grown.shape == factor.empty(large, is_lower).shape
+    expected = np.pad(np.tril(root) if is_lower else root, (0, large - small))
+    np.testing.assert_array_equal(factor.dense(grown, large, is_lower), expected)
+    dense.capacity = large
+    k = dense.covariances(np.array([0.1, -0.2]))
+    got = (read_lower if is_lower else read)(grown, (), small, k)
+    np.testing.assert_allclose(got.solved, expected.T @ (expected @ k), atol=1e-11)
+
+
+def test_a_lower_root_takes_half_of_the_room():
+    assert factor.empty(2048, lower=True).size < 0.55 * factor.empty(2048).size
 
 
 @pytest.mark.parametrize("where", [(2,), (1, 2)])
@@ -224,19 +275,26 @@ def test_one_of_many_places_touches_no_other(where):
     rng, capacity, count = np.random.default_rng(9), 50, 40
     dense = Dense(1e-2, capacity, rng.normal(size=(count, 2)))
     root, point = dense.root(), np.array([0.1, 0.2])
-    roots = jnp.full((4, 3)[-len(where) :] + root.shape, jnp.nan).at[where].set(root)
+    shape = (4, 3)[-len(where) :]
+    roots = jnp.full(shape + root.shape, jnp.nan).at[where].set(root)
     place = tuple(map(jnp.asarray, where))
     k = dense.covariances(point)
-    np.testing.assert_allclose(whiten(roots, place, count, k), whiten(root, (), count, k), atol=1e-13)
-    for got, alone in zip(
-        append(roots, place, count, k, 1.01, 1e-2), append(root, (), count, k, 1.01, 1e-2), strict=True
-    ):
-        np.testing.assert_allclose(got, alone, atol=1e-13)
+    kept = lower(np.asarray(root)[:count, :count], capacity)
+    others = jnp.full(shape + kept.shape, jnp.nan).at[where].set(kept)
+    for function, many, one in ((read, roots, root), (read_lower, others, kept)):
+        got, alone = function(many, place, count, k), function(one, (), count, k)
+        np.testing.assert_allclose(got.explained, alone.explained, rtol=1e-13)
+        np.testing.assert_allclose(got.solved, alone.solved, atol=1e-13)
     for index in (0, 33, count):
         after = Dense(1e-2, capacity, dense.points)
         new, _, _ = after.learn(roots, index, point, place)
         after.check_inverse(new[where], 1e-11)
         assert_same_bits(new.at[where].set(root), roots)
+    row = jnp.arange(1.0, capacity + 1) * (jnp.arange(capacity) <= count)
+    new = append(others, place, count, row)
+    np.testing.assert_array_equal(factor.dense(new[where], capacity, lower=True)[count], row)
+    assert_same_bits(new.at[where].set(kept), others)
+    assert_same_bits(append(others, place, capacity, row), others)
 
 
 def test_not_given_nothing_changes_to_the_bit():
@@ -256,7 +314,8 @@ def test_rounding_cannot_take_the_variance_below_the_noise():
     """Of a point that repeats another, where the noise is lost beside the prior variance."""
     noise, k = 1e-20, jnp.asarray(np.eye(CAPACITY)[0])
     root = put(empty, (), 0, 0, jnp.zeros(CAPACITY), noise, True)[0]
-    deviation, row = append(root, (), 1, k, 1.0 + noise, noise)
+    reading = read(root, (), 1, k)
+    deviation, row = new_row(reading.solved, reading.explained, 1, 1.0 + noise, noise)
     assert deviation == np.sqrt(noise) and row[1] == 1 / deviation
     _, edit, _ = put(root, (), 1, 1, k, noise, True)
     np.testing.assert_allclose(edit.row, row, rtol=1e-12)
@@ -281,13 +340,13 @@ def test_donated_roots_are_written_in_place(index):
     """The same numbers, in the memory of the old roots, and no copy of them in between."""
     rng, capacity, where = np.random.default_rng(10), 100, (jnp.asarray(1), jnp.asarray(0))
     dense = Dense(1e-2, capacity, 5 * rng.normal(size=(90, 2)))
-    roots = jnp.zeros((3, 2, capacity, capacity)).at[where].set(dense.root(rng))
+    roots = jnp.zeros((3, 2, *factor.empty(capacity).shape)).at[where].set(dense.root(rng))
     arguments = where, 90, index, dense.covariances(np.zeros(2)), 1e-2, True
     expected = put(roots, *arguments)[0]
     compiled = jax.jit(lambda *each: put(*each)[0], donate_argnums=0).lower(roots, *arguments).compile()
     text = compiled.as_text()
-    assert "f64[3,2,100,100]" in text
-    assert not re.search(r"= f64\[3,2,100,100\]\S* copy\(", text)
+    assert "f64[3,2,104,104]" in text
+    assert not re.search(r"= f64\[3,2,104,104\]\S* copy\(", text)
     memory = roots.unsafe_buffer_pointer()
     got = compiled(roots, *arguments)
     assert roots.is_deleted() and got.unsafe_buffer_pointer() == memory
@@ -314,9 +373,9 @@ def test_masked_cholesky():
 
 def test_an_empty_dictionary():
     """And one that holds a single point, which another one replaces."""
-    np.testing.assert_array_equal(whiten(empty, (), 0, jnp.ones(CAPACITY)), 0.0)
+    assert explain(empty, (), 0, jnp.ones(CAPACITY)) == 0.0
     dense = Dense()
-    deviation, row = append(empty, (), 0, jnp.zeros(CAPACITY), 1 + NOISE, NOISE)
+    deviation, row = new_row(jnp.zeros(CAPACITY), 0.0, 0, 1 + NOISE, NOISE)
     assert deviation == np.sqrt(1 + NOISE) and row[0] == 1 / deviation and not row[1:].any()
     first, _, _ = dense.learn(empty, 0, np.zeros(2))
     assert first[0, 0] == 1 / np.sqrt(1 + NOISE)

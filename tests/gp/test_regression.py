@@ -1,5 +1,7 @@
 """Regression on a dictionary of fixed capacity, with fixed weights (GPC) and normalised (GPC-NS)."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
+from gpcjax.gp import factor
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess, Posterior, normalising_scale, small, take, write
 from tests.trees import assert_close, assert_same_bits
@@ -32,8 +35,8 @@ def empty(process: GaussianProcess, capacity: int = CAPACITY) -> Posterior:
 @jax.jit
 def _put(process, posteriors, where, point, target, index, given):
     covariances = process.covariances(small(posteriors, where), point)
-    whitened = process.whiten(posteriors, where, covariances)
-    change = process.put(posteriors, where, whitened, point, target, index, given)
+    reading = process.read(posteriors, where, covariances, index)
+    change = process.put(posteriors, where, reading, point, target, index, given)
     return write(posteriors, where, change)
 
 
@@ -189,18 +192,23 @@ def test_a_model_without_weights_has_the_same_deviations(normalise):
 @pytest.mark.parametrize("capacity", [CAPACITY, 70])
 def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
     """And tells beforehand how uncertain it was; a point that is not given leaves it as it is, be it full or not."""
-    process, rng = (
-        make(False, SQUARED_EXPONENTIAL, keeps_weights=False, replaces=False),
-        np.random.default_rng(7),
+    process, full = (
+        make(False, SQUARED_EXPONENTIAL, keeps_weights=False, replaces=replaces) for replaces in (False, True)
     )
-    expected = posterior = empty(process, capacity)
+    posterior, expected = empty(process, capacity), empty(full, capacity)
+    rng = np.random.default_rng(7)
     for index in range(capacity):
         point, target = rng.normal(size=3), rng.normal()
+        told = process.uncertainty(posterior, jnp.asarray(point))
         deviation, posterior = append(process, posterior, point, target)
-        np.testing.assert_allclose(deviation, _predict(process, expected, jnp.asarray(point))[1], rtol=1e-9)
-        expected = put(process, expected, point, target, index)
+        np.testing.assert_allclose(deviation, _predict(full, expected, jnp.asarray(point))[1], rtol=1e-9)
+        np.testing.assert_allclose(deviation, told, rtol=1e-12)
+        expected = put(full, expected, point, target, index)
         assert_same_bits(append(process, posterior, np.full(3, np.nan), 1.0, given=False)[1], posterior)
-    assert_close(posterior, expected, 1e-9)
+    roots = (factor.dense(posterior.matrix, capacity, lower=True), factor.dense(expected.matrix, capacity))
+    np.testing.assert_allclose(*roots, atol=1e-9 * jnp.abs(roots[1]).max())
+    without = (dataclasses.replace(each, matrix=jnp.zeros(0)) for each in (posterior, expected))
+    assert_close(*without, 1e-9)
 
 
 @each_scaling
@@ -230,8 +238,7 @@ def test_across_the_borders_of_blocks(normalise, capacity):
 def test_one_of_many_places_touches_no_other(normalise, where):
     """Put or appended; the others are not even numbers."""
     process, place = make(normalise), tuple(map(jnp.asarray, where))
-    lean, point = make(normalise, keeps_weights=False, replaces=False), np.array([0.3, 0.1, -0.2])
-    posterior = filled(process, 9)
+    posterior, point = filled(process, 9), np.array([0.3, 0.1, -0.2])
 
     def many(leaf):
         blank = jnp.full((3, 2)[: len(where)] + leaf.shape, np.nan if leaf.dtype == float else 5, leaf.dtype)
@@ -247,6 +254,11 @@ def test_one_of_many_places_touches_no_other(normalise, where):
         assert_same_bits(write(after, place, posterior), posteriors)
         assert_same_bits(put(process, posteriors, point, 0.5, index, given=False, where=place), posteriors)
     if not normalise:
+        lean = make(normalise, keeps_weights=False, replaces=False)
+        posterior = empty(lean)
+        for index in range(9):
+            posterior = append(lean, posterior, 0.1 * point * index, 0.5)[1]
+        posteriors = jax.tree.map(many, posterior)
         deviation, after = append(lean, posteriors, point, 0.5, where=place)
         np.testing.assert_allclose(deviation, lean.uncertainty(posterior, jnp.asarray(point)), rtol=1e-12)
         assert_close(take(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
