@@ -9,12 +9,13 @@ entry of the Gram matrix, and the factor is computed anew, O(n^3).
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from gpcjax.gp import factor
 from gpcjax.gp.factor import Reading
@@ -42,7 +43,11 @@ class Posterior(eqx.Module):
     scale: Float[Array, "*places d"]
     """What each input dimension is multiplied by before the kernel."""
     matrix: factor.Roots
-    """Inverse root S (fixed scale), as `gpcjax.gp.factor` keeps it, or Cholesky factor L (normalised; n times n)."""
+    """Inverse root S (fixed scale), as `gpcjax.gp.factor` keeps it, or Cholesky factor L (normalised; n times n).
+
+    A normalised model without weights keeps none (0 times 0): it is only asked before a correction, which changes all
+    of its factor, and makes it then.
+    """
     weights: Float[Array, "*places n"]
     """(K + noise I)^-1 targets; zeros in a model that keeps none."""
 
@@ -108,7 +113,8 @@ class GaussianProcess(eqx.Module):
 
     def init(self, capacity: int, scale: Float[Array, " d"]) -> Posterior:
         """The empty dictionary."""
-        empty = jnp.eye(capacity) if self.normalise else factor.empty(capacity, self.lower)
+        kept = capacity if self.keeps_weights else 0
+        empty = jnp.eye(kept) if self.normalise else factor.empty(capacity, self.lower)
         return Posterior(
             points=jnp.zeros((capacity, scale.shape[0])),
             targets=jnp.zeros(capacity),
@@ -135,9 +141,13 @@ class GaussianProcess(eqx.Module):
         With normalisation only what the points explain: all else is made anew by `put`.
         """
         if self.normalise:
-            whitened = factor.solve(factor.take(posteriors.matrix, where), covariances)
+            if self.keeps_weights:
+                whitened = factor.solve(factor.take(posteriors.matrix, where), covariances)
+                explained = (whitened * whitened).sum()
+            else:
+                explained = self._explained_anew(small(posteriors, where), covariances)
             nothing = jnp.zeros_like(covariances)
-            return Reading((whitened * whitened).sum(), nothing, nothing)
+            return Reading(explained, nothing, nothing)
         count = posteriors.count[where]
         return factor.read(posteriors.matrix, where, count, covariances, point, self.lower)
 
@@ -218,7 +228,9 @@ class GaussianProcess(eqx.Module):
         def pad(array: Array) -> Array:
             return jnp.pad(array, [(0, capacity - old)] + [(0, 0)] * (array.ndim - 1))
 
-        if self.normalise:
+        if self.normalise and not self.keeps_weights:
+            matrix = posterior.matrix
+        elif self.normalise:
             unused = jnp.diag((jnp.arange(capacity) >= old).astype(posterior.matrix.dtype))
             matrix = jnp.pad(posterior.matrix, (0, capacity - old)) + unused
         else:
@@ -243,29 +255,38 @@ class GaussianProcess(eqx.Module):
         return self.kernel.variance + self.noise
 
     def _refactor(self, before: Posterior, data: Posterior, write: Bool[Array, ""]) -> Posterior:
-        scale = normalising_scale(data.points, data.active)
-        sizes = _leading_sizes(data.capacity)
-        smallest = jnp.searchsorted(jnp.array(sizes), data.count)
-        branches = [functools.partial(self._factor_leading, size) for size in sizes]
-        lower, weights = lax.switch(smallest, branches, data, scale)
+        scale = jnp.where(write, normalising_scale(data.points, data.active), before.scale)
+        if not self.keeps_weights:
+            return dataclasses.replace(data, scale=scale)
+        lower, weights = _switch_leading(data.capacity, data.count, self._solve_leading, data, scale)
         return dataclasses.replace(
             data,
             matrix=jnp.where(write, lower, before.matrix),
-            scale=jnp.where(write, scale, before.scale),
+            scale=scale,
             weights=jnp.where(write, weights, before.weights),
         )
 
-    def _factor_leading(
+    def _factor_leading(self, size: int, data: Posterior, scale: Float[Array, " d"]) -> Float[Array, "m m"]:
+        """From the first `size` rows, which hold all points in use."""
+        return factor.cholesky(self.kernel.gram(data.points[:size], scale), data.active[:size], self.noise)
+
+    def _solve_leading(
         self, size: int, data: Posterior, scale: Float[Array, " d"]
     ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
-        """Factor and weights from the first `size` rows, which hold all points in use."""
-        points, active = data.points[:size], data.active[:size]
-        lower = factor.cholesky(self.kernel.gram(points, scale), active, self.noise)
-        weights = data.weights
-        if self.keeps_weights:
-            solved = factor.solve(lower, data.targets[:size])
-            weights = weights.at[:size].set(factor.solve(lower, solved, transpose=True))
+        """Factor and weights."""
+        lower = self._factor_leading(size, data, scale)
+        solved = factor.solve(lower, data.targets[:size])
+        weights = data.weights.at[:size].set(factor.solve(lower, solved, transpose=True))
         return jnp.eye(data.capacity).at[:size, :size].set(lower), weights
+
+    def _explained_anew(self, data: Posterior, covariances: Float[Array, " n"]) -> Float[Array, ""]:
+        """|L^-1 k|^2, from a factor that is used once."""
+
+        def explained(size: int, data: Posterior, covariances: Float[Array, " n"]) -> Float[Array, ""]:
+            whitened = factor.solve(self._factor_leading(size, data, data.scale), covariances[:size])
+            return (whitened * whitened).sum()
+
+        return _switch_leading(data.capacity, data.count, explained, data, covariances)
 
 
 def take(posteriors: Posterior, where: Places) -> Posterior:
@@ -298,6 +319,15 @@ def write(posteriors: Posterior, where: Places, change: Posterior | Placed | App
         matrix=matrix,
         weights=weights,
     )
+
+
+def _switch_leading(
+    capacity: int, count: Int[Array, ""], function: Callable[..., PyTree], *operands: PyTree
+) -> PyTree:
+    """`function(size, *operands)` with the smallest of a few sizes that holds all points."""
+    sizes = _leading_sizes(capacity)
+    branches = [functools.partial(function, size) for size in sizes]
+    return lax.switch(jnp.searchsorted(jnp.array(sizes), count), branches, *operands)
 
 
 def _leading_sizes(capacity: int) -> tuple[int, ...]:

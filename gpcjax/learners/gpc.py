@@ -16,6 +16,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp.regression import Appended, GaussianProcess, Placed, Places, Posterior, small, write
@@ -108,10 +109,12 @@ class GPC(Learner):
         return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
 
     def _uncertainty(self, state, obs, action):
-        def one(human: Posterior, action: Float[Array, ""]) -> Float[Array, ""]:
+        def one(each: tuple[Posterior, Float[Array, ""]]) -> Float[Array, ""]:
+            human, action = each
             return self.human.uncertainty(human, _pair(obs, action))
 
-        return jax.vmap(one)(state.human, action)
+        # One by one: as a batch, a normalised model would be factorised at all of its sizes.
+        return lax.map(one, (state.human, action))
 
     def _write(self, states, where, change):
         return GPCState(
@@ -188,9 +191,9 @@ class GPC(Learner):
 
 
 def _numbers(change: Posterior | Placed | Appended) -> Float[Array, "..."]:
-    """The new part of a factor."""
+    """The new part of a model."""
     if isinstance(change, Posterior):
-        return change.matrix
+        return change.scale
     return change.edit.row if isinstance(change, Placed) else change.row
 
 
