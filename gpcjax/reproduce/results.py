@@ -68,7 +68,7 @@ def read(out: Path) -> Experiment | None:
 
 
 def joined(first: Experiment, second: Experiment) -> Experiment:
-    """Two sweeps of one task that differ in their learners, as one; one of them may have fewer episodes."""
+    """Two sweeps of one task that differ in their learners, as one."""
     lists = [list(each.study.manifest["specification"]["algo"]) for each in (first, second)]
     order = sorted(lists[0] + lists[1], key=("gpc", "gpc-ns", "coach").index)
     specification = {**first.study.manifest["specification"], "algo": order}
@@ -85,24 +85,6 @@ def joined(first: Experiment, second: Experiment) -> Experiment:
         pd.concat([first.episodes, second.episodes]),
         pd.concat([first.corrections, second.corrections]),
     )
-
-
-def common(experiment: Experiment) -> Experiment:
-    """The episodes that the runs of all learners have, from the first one on."""
-    shortest = min(group.returns.shape[1] for group in experiment.study.groups)
-    groups = (
-        replace(group, returns=group.returns[:, :shortest], corrections=group.corrections[:, :shortest])
-        for group in experiment.study.groups
-    )
-    study = replace(experiment.study, groups=tuple(groups), episodes=shortest)
-    return replace(experiment, study=study)
-
-
-def whole(experiment: Experiment) -> Experiment:
-    """The runs that have all episodes."""
-    study = experiment.study
-    groups = tuple(group for group in study.groups if group.returns.shape[1] == study.episodes)
-    return replace(experiment, study=replace(study, groups=groups))
 
 
 def early(group: Group) -> Scores:

@@ -4,7 +4,6 @@ import csv
 import functools
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -17,7 +16,7 @@ from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
-from gpcjax.reproduce.results import Experiment, common, joined, read, whole
+from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
@@ -223,18 +222,11 @@ def _illustrations(shown: Illustrations) -> Iterable[tuple[str, tuple[Figure, st
 
 
 def _sheets(results: Mapping[str, Experiment]) -> dict[str, Sequence[Sheet]]:
-    sheets = {}
-    for part in ("pendulum", "cartpole", "lander"):
-        if part in results:
-            experiment = results[part]
-            sheets[part] = result_sheets(whole(experiment).summary)
-            shared = common(experiment)
-            if shared.study.episodes < experiment.study.episodes:
-                sheets[part] += [
-                    replace(sheet, title=f"{sheet.title}, first {shared.study.episodes} episodes")
-                    for sheet in result_sheets(shared.summary)
-                ]
-    return sheets
+    return {
+        part: result_sheets(results[part].summary)
+        for part in ("pendulum", "cartpole", "lander")
+        if part in results
+    }
 
 
 def _runs(experiment: Experiment) -> str:
