@@ -7,7 +7,7 @@ import numpy as np
 
 from gpcjax.report import words
 from gpcjax.report.groups import unique
-from gpcjax.report.statistics import Scores, paired_difference
+from gpcjax.report.statistics import Interval, Scores, paired_difference
 from gpcjax.reproduce.parts import ABLATIONS, ROWS
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import EARLY, Experiment, Results, early, scaled
@@ -307,26 +307,21 @@ def _lander(experiment: Experiment) -> list[Claim]:
     """GPC-NS takes so long there that a reproduction may not have it yet."""
     gained = "final return less that of the idle policy, in parts of the gap to the oracle"
 
-    def converges(algo: str) -> Claim:
+    def gains(text: str, algo: str, bound: str, holds: Callable[[Interval], bool]) -> Claim:
         return Claim(
             "5.1.3",
-            f"{words.algorithm(algo)} converges at every error rate",
-            f"{words.algorithm(algo)}: {gained}; above 0.9",
-            each_error(
-                experiment, lambda e: mean_test(closed(experiment, algo, e), lambda i: i.lower > 0.9, 2)
-            ),
+            text,
+            f"{words.algorithm(algo)}: {gained}; {bound}",
+            each_error(experiment, lambda e: mean_test(closed(experiment, algo, e), holds, 2)),
         )
+
+    def converges(algo: str) -> Claim:
+        text = f"{words.algorithm(algo)} converges at every error rate"
+        return gains(text, algo, "above 0.9", lambda i: i.lower > 0.9)
 
     claims = [
         *outperforms("5.1.3", experiment, "gpc", "coach"),
-        Claim(
-            "5.1.3",
-            "COACH attains no performance",
-            f"COACH's {gained}; below 0.1",
-            each_error(
-                experiment, lambda e: mean_test(closed(experiment, "coach", e), lambda i: i.upper < 0.1, 2)
-            ),
-        ),
+        gains("COACH attains no performance", "coach", "below 0.1", lambda i: i.upper < 0.1),
         converges("gpc"),
     ]
     if "gpc-ns" not in experiment.study.algorithms:

@@ -218,7 +218,7 @@ class TestAcross:
         """In parts of each task's own gap."""
         text = "largest on the lander"
         assert the(self.of(), text).verdict == HOLDS
-        assert the(self.of(pendulum=LEVELS | {"coach": -0.3}), text).verdict == "holds at against cart-pole"
+        assert the(self.of(pendulum=LEVELS | {"coach": -0.3}), text).verdict == "holds at cart-pole"
         claim = the(self.of(), text)
         assert [test.value.estimate for test in claim.tests] == pytest.approx([0.45, 0.45], abs=0.01)
 
