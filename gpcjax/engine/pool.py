@@ -26,8 +26,8 @@ from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Learner
 from gpcjax.teachers.base import Teacher
 
-CHUNK_SECONDS = 0.02
-"""About how long the compiled program runs between two looks of the host."""
+CHUNK_SECONDS = {Loop: 0.02, HostLoop: 0.1}
+"""About how long a block runs between two looks of the host, which cost simulations on the host a tick of their own."""
 
 ENTER, ENTER_BYTES = 16, 1 << 22
 """Lanes that are put into a block by one call, at most; fewer of large ones, as each call is filled up with copies."""
@@ -249,9 +249,8 @@ class _Block:
         self._pool.counters.env_steps += after[0] - before[0]
         self._pool.counters.episodes += after[1] - before[1]
         elapsed = time.perf_counter() - began - (self._pool.counters.compile_seconds - compiling)
-        self._rounds = int(
-            np.clip(self._rounds * CHUNK_SECONDS / max(elapsed, 1e-6), self._rounds / 2, 2 * self._rounds)
-        )
+        wanted = self._rounds * CHUNK_SECONDS[type(self._loop)] / max(elapsed, 1e-6)
+        self._rounds = int(np.clip(wanted, self._rounds / 2, 2 * self._rounds))
         self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._pool.counters.chunks += 1
         leaving = [place for place in self.runs if phases[place] != Phase.RUNNING]

@@ -129,6 +129,19 @@ class GaussianProcess(eqx.Module):
         values = self.kernel.covariances(posterior.points, point, posterior.scale)
         return jnp.where(posterior.active, values, 0.0)
 
+    def explained(
+        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+    ) -> Float[Array, ""]:
+        """How much of the variance of an input with these covariances the points at `where` explain."""
+        if not self.normalise:
+            return factor.explained(
+                posteriors.matrix, where, posteriors.count[where], covariances, self.lower
+            )
+        if not self.keeps_weights:
+            return self._explained_anew(small(posteriors, where), covariances)
+        whitened = factor.solve(factor.take(posteriors.matrix, where), covariances)
+        return (whitened * whitened).sum()
+
     def read(
         self,
         posteriors: Posterior,
@@ -141,13 +154,8 @@ class GaussianProcess(eqx.Module):
         With normalisation only what the points explain: all else is made anew by `put`.
         """
         if self.normalise:
-            if self.keeps_weights:
-                whitened = factor.solve(factor.take(posteriors.matrix, where), covariances)
-                explained = (whitened * whitened).sum()
-            else:
-                explained = self._explained_anew(small(posteriors, where), covariances)
             nothing = jnp.zeros_like(covariances)
-            return Reading(explained, nothing, nothing)
+            return Reading(self.explained(posteriors, where, covariances), nothing, nothing)
         count = posteriors.count[where]
         return factor.read(posteriors.matrix, where, count, covariances, point, self.lower)
 
@@ -160,12 +168,7 @@ class GaussianProcess(eqx.Module):
 
     def uncertainty(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, ""]:
         """Predictive standard deviation at `point`."""
-        covariances = self.covariances(posterior, point)
-        if self.normalise:
-            return self.deviation(self.read(posterior, (), covariances).explained)
-        return self.deviation(
-            factor.explained(posterior.matrix, (), posterior.count, covariances, self.lower)
-        )
+        return self.deviation(self.explained(posterior, (), self.covariances(posterior, point)))
 
     def put(
         self,
@@ -206,7 +209,7 @@ class GaussianProcess(eqx.Module):
         point: Float[Array, " d"],
         target: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Appended]:
-        """The deviation at `point`, and what it changes as one more point, for `write_appended`.
+        """The deviation at `point`, and what it changes as one more point, for `write`.
 
         For a fixed scale, without weights, and a dictionary to which points were only appended: the one at `where`
         among `posteriors`, whose matrices are not copied. The caller keeps `count` below the capacity, or the point is

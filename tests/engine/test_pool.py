@@ -91,7 +91,8 @@ class Bits:
 
     @pytest.mark.parametrize("seconds", [1e-9, 1e9], ids=["short", "long"])
     def test_chunks_of_other_lengths(self, pool, together, monkeypatch, seconds):
-        monkeypatch.setattr(pool_module, "CHUNK_SECONDS", seconds)
+        for loop in tuple(pool_module.CHUNK_SECONDS):
+            monkeypatch.setitem(pool_module.CHUNK_SECONDS, loop, seconds)
         before = pool.counters.chunks
         again = run(pool, starts(self.algo))
         assert_the_same_runs(again, together)
