@@ -181,13 +181,12 @@ def main() -> None:
     rate = points / measured["policies, one step"]
     console.print(f"policies: {rate / 1e6:.0f} M points/s, {rate * 40 / 1e9:.0f} GB/s from the caches")
     drawn = Table(title="one correction", title_justify="left", box=None)
-    for name in ("learner", "room P, H", "us", "GB/s of factors"):
+    for name in ("learner", "room P, H", "us"):
         drawn.add_column(name, justify="left" if name == "learner" else "right")
     for algo in ("gpc", "gpc-ns"):
         for policy, human, lanes in ((48, 64, 32), (96, 128, 16), (128, 256, 16), (256, 512, 16)):
             cost = correction(*taken(algo, Tier(policy, human, lanes)))
-            read = 8 * (policy**2 + human**2)
-            drawn.add_row(algo, f"{policy}, {human}", f"{1e6 * cost:.1f}", f"{read / cost / 1e9:.1f}")
+            drawn.add_row(algo, f"{policy}, {human}", f"{1e6 * cost:.1f}")
     console.print(drawn)
 
 
