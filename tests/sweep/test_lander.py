@@ -1,13 +1,12 @@
 """A small real sweep of the lunar lander, which the host simulates: the same rows however they came about."""
 
 import json
-import signal
 
 import pytest
 
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.store import read_corrections, read_episodes
-from tests.sweep.test_sweeps import alive, assert_the_same_rows, process, wait_for, workers_of
+from tests.sweep.test_sweeps import assert_the_same_rows, kill_and_resume
 
 SETTINGS = {"env": "lunarlander", "algo": ["gpc", "coach"], "seeds": 2, "episodes": 2}
 
@@ -47,18 +46,4 @@ def test_two_processes(reference, tmp_path):
 
 
 def test_killed_and_resumed(reference, tmp_path):
-    """kill -9 after the first rows: what is missing runs later, what was there stays as it was."""
-    out = tmp_path / "out"
-    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{SETTINGS!r})"
-    with process(["-c", script], tmp_path) as running:
-        wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
-        workers = workers_of(running.pid)
-        running.kill()
-        assert running.wait() == -signal.SIGKILL, (tmp_path / "stderr").read_text()
-        wait_for(lambda: not any(map(alive, workers)))
-    assert len(workers) == 1
-    before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
-    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
-    sweep(out, **SETTINGS)
-    assert_the_same_rows(out, reference)
-    assert all(path.read_bytes() == content for path, content in before.items())
+    kill_and_resume(SETTINGS, reference, tmp_path)

@@ -107,6 +107,28 @@ def alive(pid: int) -> bool:
         return False
 
 
+def kill_and_resume(settings: dict, reference: Path, folder: Path) -> None:
+    """kill -9 of a sweep after its first rows.
+
+    No worker outlives it; what is missing runs later, and what was there stays as it was.
+    """
+    out = folder / "out"
+    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{settings!r})"
+    with process(["-c", script], folder) as running:
+        wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
+        workers = workers_of(running.pid)
+        running.kill()
+        assert running.wait() == -signal.SIGKILL, (folder / "stderr").read_text()
+        wait_for(lambda: not any(map(alive, workers)))
+    assert len(workers) == 1
+    before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
+    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
+    assert not json.loads((out / "manifest.json").read_text())["complete"]
+    sweep(out, **settings)
+    assert_the_same_rows(out, reference)
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
 def test_what_it_holds(reference):
     frame, corrections = read_episodes(reference), read_corrections(reference)
     assert len(frame) == 3 * 2 * 2 * 3 and (frame["status"] == "ok").all()
@@ -232,22 +254,7 @@ def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
 
 
 def test_killed_and_resumed(reference, tmp_path):
-    """kill -9 of the sweep itself, after its first rows: no worker outlives it, and what is missing runs later."""
-    out = tmp_path / "out"
-    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{SETTINGS!r})"
-    with process(["-c", script], tmp_path) as running:
-        wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
-        workers = workers_of(running.pid)
-        running.kill()
-        assert running.wait() == -signal.SIGKILL, (tmp_path / "stderr").read_text()
-        wait_for(lambda: not any(map(alive, workers)))
-    assert len(workers) == 1
-    before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
-    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
-    assert not json.loads((out / "manifest.json").read_text())["complete"]
-    sweep(out, **SETTINGS)
-    assert_the_same_rows(out, reference)
-    assert all(path.read_bytes() == content for path, content in before.items())
+    kill_and_resume(SETTINGS, reference, tmp_path)
 
 
 def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, tmp_path):
