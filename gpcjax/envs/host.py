@@ -45,8 +45,8 @@ class HostEnv:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
     action_size: int = field(init=False)
-    _low: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
-    _high: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
+    _centre: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
+    _reach: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.max_steps < 1:
@@ -61,14 +61,14 @@ class HostEnv:
             )
         object.__setattr__(self, "obs_size", int(observations[0]))
         object.__setattr__(self, "action_size", int(actions.shape[0]))
-        object.__setattr__(self, "_low", np.asarray(env.action_space.low, np.float64))
-        object.__setattr__(self, "_high", np.asarray(actions, np.float64))
+        low, high = (np.asarray(bound, np.float64) for bound in (env.action_space.low, actions))
+        object.__setattr__(self, "_centre", (low + high) / 2)
+        object.__setattr__(self, "_reach", (high - low) / 2)
 
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
         shape = (-1,) + (1,) * (actions.ndim - 1)
-        centre, reach = (self._low + self._high) / 2, (self._high - self._low) / 2
-        return centre.reshape(shape) + reach.reshape(shape) * actions.clip(-1.0, 1.0)
+        return self._centre.reshape(shape) + self._reach.reshape(shape) * actions.clip(-1.0, 1.0)
 
     def simulate(self) -> "Simulation":
         """A simulation of its own; `reset` comes first."""
