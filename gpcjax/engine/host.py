@@ -19,7 +19,7 @@ from gpcjax.engine.lanes import Lane, Phase, fresh
 from gpcjax.engine.teaching import Expert
 from gpcjax.envs.base import State, begin
 from gpcjax.envs.host import HostEnv
-from gpcjax.learners.base import Learner
+from gpcjax.learners.base import Learner, Status
 from gpcjax.teachers.base import Teacher
 
 _FLAGS = np.bool_(False), np.bool_(True)
@@ -119,10 +119,17 @@ class HostLoop(eqx.Module):
         )
         running = (block.phase == Phase.RUNNING) & ~last
         proposed = block.controller(block.env.obs)
+        broken = running & ~teaching.all_finite(block.env.obs, proposed, block.tally.returns[None])
+        running = running & ~broken
         may = jax.vmap(_may_advise, in_axes=(-1, 0, -1, -1))(
             block.teacher, block.learner, block.episode, teaching.block_coins(block)
         )
-        block = dataclasses.replace(block, waiting=running & may, action=jnp.clip(proposed, -1.0, 1.0))
+        block = dataclasses.replace(
+            block,
+            waiting=running & may,
+            action=jnp.clip(proposed, -1.0, 1.0),
+            status=jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status),
+        )
         block, advice = teaching.ask(block, self.expert, self.grows)
         block = teaching.correct(block, advice)
         going = running & (block.phase != Phase.NEEDS_ROOM)

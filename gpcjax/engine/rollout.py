@@ -23,7 +23,7 @@ from gpcjax.engine import streams, teaching
 from gpcjax.engine.lanes import WINDOW, Lane, Phase, Tally, coin_window, fresh
 from gpcjax.engine.teaching import Expert
 from gpcjax.envs.base import Env
-from gpcjax.learners.base import Learner
+from gpcjax.learners.base import Learner, Status
 from gpcjax.teachers.base import Teacher
 
 
@@ -98,24 +98,49 @@ class Loop(eqx.Module):
         return window, block.env.time
 
     def _step(self, block: Lane) -> Lane:
-        """A few steps of every running lane, up to its next coin or the end of its episode."""
+        """A few steps of every running lane, up to its next coin, the end of its episode, or what is no number.
+
+        Lanes that met such a thing take their steps once more, and stop before it. In the usual walk, which all others
+        keep, nothing depends on whether a value is a number: a mask that did would be compiled into the physics, and
+        round them differently.
+        """
+        walked, suspect = self._walk(block, lambda moving, finite: moving)
+
+        def stopped() -> tuple[PyTree, ...]:
+            careful, broken = self._walk(block, lambda moving, finite: moving & finite)
+            once_more = jax.tree.map(lambda new, old: jnp.where(suspect, new, old), careful, walked)
+            return *once_more, jnp.where(suspect & broken, jnp.int32(Status.NON_FINITE), block.status)
+
+        env, tally, waiting, action, status = lax.cond(
+            suspect.any(), stopped, lambda: (*walked, block.status)
+        )
+        return dataclasses.replace(block, env=env, tally=tally, waiting=waiting, action=action, status=status)
+
+    def _walk(
+        self,
+        block: Lane,
+        goes: Callable[[Bool[Array, " lanes"], Bool[Array, " lanes"]], Bool[Array, " lanes"]],
+    ) -> tuple[tuple[PyTree, ...], Bool[Array, " lanes"]]:
+        """The steps, and which lanes met what is no number; `goes` says which go on, of those that may."""
         window, start, running = block.window, block.window_start, block.phase == Phase.RUNNING
         controller = block.controller
 
         def body(_: Int[Array, ""], carry: PyTree) -> PyTree:
-            env, tally, waiting, action = carry
+            (env, tally, waiting, action), broken = carry
             moving = running & ~waiting & ~env.done
             proposed = controller(env.obs)
+            finite = teaching.all_finite(env.obs, proposed, tally.returns[None])
+            broken = broken | (moving & ~finite)
+            moving = goes(moving, finite)
             offset = (env.time - start).astype(jnp.uint32)
             meets = moving & (((window >> offset) & 1) == 1)
             action = jnp.where(meets[None], jnp.clip(proposed, -1.0, 1.0), action)
             tally = teaching.count_clipped(tally, proposed, moving)
             env, tally = self._act(env, tally, proposed, moving & ~meets)
-            return env, tally, waiting | meets, action
+            return (env, tally, waiting | meets, action), broken
 
-        carry = (block.env, block.tally, block.waiting, block.action)
-        env, tally, waiting, action = lax.fori_loop(0, self.stride, body, carry)
-        return dataclasses.replace(block, env=env, tally=tally, waiting=waiting, action=action)
+        carry = (block.env, block.tally, block.waiting, block.action), jnp.zeros_like(running)
+        return lax.fori_loop(0, self.stride, body, carry)
 
     def _act(
         self,

@@ -1,11 +1,14 @@
 """What teaching does to the lanes that are due, wherever their tasks are simulated: ask, correct, end an episode.
 
 Lanes are corrected one at a time, since in most rounds few or none are; whatever a lane computes depends on that lane
-alone. A lane whose dictionary has no room for the correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into
-a block of larger capacity (`gpcjax.engine.pool`).
+alone. A lane whose observation, action or return is no number goes no further: comparisons with NaN are false, so that
+its episode might never end, and what it returned would look like any other. A lane whose dictionary has no room for the
+correction that waits stops with `Phase.NEEDS_ROOM`, to be moved into a block of larger capacity (`gpcjax.engine.pool`).
 """
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Callable
 
 import jax
@@ -16,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from gpcjax.engine import streams
 from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, CorrectionLog, Lane, Phase, Tally
 from gpcjax.envs.base import State as EnvState
-from gpcjax.learners.base import Info, Status
+from gpcjax.learners.base import Info, Learner, Status
 
 Expert = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
 
@@ -80,7 +83,7 @@ def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
             _put(controllers, lane, learner.controller(_take(states, lane, 0)), -1),
             _count_corrections(tally, lane, info),
             _log(log, lane, info, (block.episode[lane], block.env.time[lane], dimension)),
-            status.at[lane].max(info.status),
+            status.at[lane].max(jnp.where(_goes_on(learner, info), jnp.int32(Status.OK), info.status)),
         )
 
     carry = (block.state, block.controller, block.tally, block.log, block.status)
@@ -88,8 +91,15 @@ def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
     return dataclasses.replace(block, state=state, controller=controller, tally=tally, log=log, status=status)
 
 
+def all_finite(*values: Float[Array, "n lanes"]) -> Bool[Array, " lanes"]:
+    """Whether a lane has only numbers in all of them."""
+    # Term by term, and zero times a number: so it joins the loop over lanes that reads them anyway.
+    rows = [value[i] for value in values for i in range(value.shape[0])]
+    return functools.reduce(operator.add, (0.0 * row for row in rows)) == 0.0
+
+
 def end_episodes(block: Lane, episodes: int, start: Callable[[Lane, Int[Array, " lanes"]], EnvState]) -> Lane:
-    """Writes the rows of the episodes that ended, and starts the next ones; a learner that stopped ends its run.
+    """Writes the rows of the episodes that ended, and starts the next ones; a lane with a status ends its run.
 
     `start` gives the states in which lanes begin the episodes of these indices.
     """
@@ -121,9 +131,14 @@ def _end(
     start: Callable[[Lane, Int[Array, " lanes"]], EnvState],
 ) -> tuple:
     ended = over | stopped
+    finite = all_finite(block.env.obs, block.tally.returns[None])
+    broken = over & ~stopped & ~finite
+    status = jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status)
     points = jax.vmap(lambda learner, state: learner.points(state))(block.learner, block.state)
     values = {
         **vars(block.tally),
+        # What an episode returned until then is no return of an episode.
+        "returns": jnp.where(status == Status.NON_FINITE, jnp.nan, block.tally.returns),
         "length": block.env.time,
         "policy_points": points[0],
         "human_points": points[1],
@@ -135,9 +150,6 @@ def _end(
     }
     tally = jax.tree.map(lambda value: jnp.where(ended, jnp.zeros_like(value), value), block.tally)
 
-    finite = jnp.isfinite(block.tally.returns) & jnp.isfinite(block.env.obs).all(0)
-    broken = over & ~stopped & ~finite
-    status = jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status)
     episode = jnp.where(stopped | broken, episodes, block.episode + over)
     finished = ended & (episode >= episodes)
     begins = over & ~finished
@@ -207,8 +219,13 @@ def _put(tree: PyTree, lane: Int[Array, ""], values: PyTree, axis: int) -> PyTre
     return jax.tree.map(put, tree, values)
 
 
+def _goes_on(learner: Learner, info: Info) -> Bool[Array, ""]:
+    """Whether what a correction met does not end the run."""
+    return (info.status == Status.FULL) & learner.goes_on_when_full
+
+
 def _count_corrections(tally: Tally, lane: Int[Array, ""], info: Info) -> Tally:
-    learned = ~(info.full & (info.status == Status.FULL))
+    learned = info.status == Status.OK
     added = {
         "corrections": learned,
         "rate_sum": jnp.where(learned, info.rate, 0.0),

@@ -65,6 +65,8 @@ class Appended(eqx.Module):
 
     index: Int[Array, ""]
     """Row of the point; the capacity, which is no row, if nothing is to be written."""
+    before: Int[Array, ""]
+    """Count of points before."""
     count: Int[Array, ""]
     point: Float[Array, " d"]
     target: Float[Array, ""]
@@ -76,7 +78,7 @@ class Appended(eqx.Module):
         return dataclasses.replace(
             self,
             index=jnp.where(write, self.index, self.row.shape[0]),
-            count=jnp.where(write, self.count, self.index),
+            count=jnp.where(write, self.count, self.before),
         )
 
 
@@ -92,6 +94,27 @@ class Placed(eqx.Module):
     weights: Float[Array, " n"]
     given: Bool[Array, ""]
     """Whether there is anything to be written."""
+
+    def only(self, write: Bool[Array, ""]) -> "Placed":
+        """The same where `write` is true, and nothing to be written where it is not."""
+        return dataclasses.replace(self, given=self.given & write)
+
+    @property
+    def row(self) -> Float[Array, " n"]:
+        """Of `matrix`."""
+        return self.edit.row
+
+
+class Renewed(eqx.Module):
+    """A posterior with normalisation after a point: all of it is new."""
+
+    posterior: Posterior
+    given: Bool[Array, ""]
+    """Whether there is anything to be written."""
+
+    def only(self, write: Bool[Array, ""]) -> "Renewed":
+        """The same where `write` is true, and nothing to be written where it is not."""
+        return dataclasses.replace(self, given=self.given & write)
 
 
 class GaussianProcess(eqx.Module):
@@ -179,7 +202,7 @@ class GaussianProcess(eqx.Module):
         target: Float[Array, ""],
         index: Int[Array, ""],
         write: Bool[Array, ""],
-    ) -> "Posterior | Placed":
+    ) -> "Renewed | Placed":
         """What one point changes that is appended (`index == count`) or replaces another (`index < count`).
 
         `reading` is that of `point`, with the column of the one that it replaces. The caller keeps `index` below the
@@ -193,13 +216,13 @@ class GaussianProcess(eqx.Module):
             points = jnp.where((here & write)[:, None], point[None], before.points)
             before = take(posteriors, where)
             data = dataclasses.replace(before, points=points, targets=targets, count=count)
-            return self._refactor(before, data, write)
+            return Renewed(self._refactored(data), write)
         edit = factor.edit(posteriors.matrix, where, before.count, index, reading, self._prior, self.noise)
         weights = before.weights
         if self.keeps_weights:
             share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(reading.column, index), 1.0)
             others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - reading.column * share), weights)
-            weights = jnp.where(write, others + edit.row * (edit.row * targets).sum(), weights)
+            weights = others + edit.row * (edit.row * targets).sum()
         return Placed(edit, before.count, count, point, target, weights, write)
 
     def append(
@@ -220,7 +243,25 @@ class GaussianProcess(eqx.Module):
         deviation, row = factor.new_row(
             reading.solved, reading.explained, posterior.count, self._prior, self.noise
         )
-        return deviation, Appended(posterior.count, posterior.count + 1, point, target, row)
+        before = posterior.count
+        return deviation, Appended(before, before, before + 1, point, target, row)
+
+    def sound(self, change: "Renewed | Placed | Appended", scale: Float[Array, " d"]) -> Bool[Array, ""]:
+        """Whether all that a change would write is a number, and no point so far away that its distances are none.
+
+        `scale` is that of the dictionary before; with normalisation the change has its own.
+        """
+        if isinstance(change, Renewed):
+            new = change.posterior
+            points, scale, numbers = new.points, new.scale, (new.targets, new.weights)
+        else:
+            points, numbers = change.point[None], (change.target, change.row)
+            if isinstance(change, Placed):
+                numbers = (*numbers, change.weights, change.edit.scaled, change.edit.image)
+        # Twice as far, for the point on the other side.
+        across = 2.0 * points * (scale * self.kernel.inverse_length)[None]
+        near = jnp.isfinite(scale).all() & (scale > 0).all() & jnp.isfinite((across * across).sum())
+        return near & jnp.stack([jnp.isfinite(number).all() for number in numbers]).all()
 
     def grow(self, posterior: Posterior, capacity: int) -> Posterior:
         """The same dictionary with room for `capacity` points."""
@@ -257,17 +298,12 @@ class GaussianProcess(eqx.Module):
         """Variance of an observation before any data."""
         return self.kernel.variance + self.noise
 
-    def _refactor(self, before: Posterior, data: Posterior, write: Bool[Array, ""]) -> Posterior:
-        scale = jnp.where(write, normalising_scale(data.points, data.active), before.scale)
+    def _refactored(self, data: Posterior) -> Posterior:
+        scale = normalising_scale(data.points, data.active)
         if not self.keeps_weights:
             return dataclasses.replace(data, scale=scale)
         lower, weights = _switch_leading(data.capacity, data.count, self._solve_leading, data, scale)
-        return dataclasses.replace(
-            data,
-            matrix=jnp.where(write, lower, before.matrix),
-            scale=scale,
-            weights=jnp.where(write, weights, before.weights),
-        )
+        return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
 
     def _factor_leading(self, size: int, data: Posterior, scale: Float[Array, " d"]) -> Float[Array, "m m"]:
         """From the first `size` rows, which hold all points in use."""
@@ -303,21 +339,25 @@ def small(posteriors: Posterior, where: Places) -> Posterior:
     return take(eqx.tree_at(lambda old: old.matrix, posteriors, nothing), where)
 
 
-def write(posteriors: Posterior, where: Places, change: Posterior | Placed | Appended) -> Posterior:
+def write(posteriors: Posterior, where: Places, change: Renewed | Placed | Appended) -> Posterior:
     """The posteriors with a change of the one at `where`."""
-    if isinstance(change, Posterior):
-        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), posteriors, change)
+    if isinstance(change, Renewed):
+        before = take(posteriors, where)
+        after = jax.tree.map(lambda new, old: jnp.where(change.given, new, old), change.posterior, before)
+        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), posteriors, after)
     if isinstance(change, Appended):
-        index, weights = change.index, posteriors.weights
+        index, count, weights = change.index, change.count, posteriors.weights
         matrix = factor.append(posteriors.matrix, where, change.index, change.row)
     else:
         index = jnp.where(change.given, change.edit.index, change.edit.row.shape[0])
+        count = jnp.where(change.given, change.count, change.before)
         matrix = factor.write(posteriors.matrix, where, change.before, change.edit, change.given)
-        weights = posteriors.weights.at[where].set(change.weights)
+        before = factor.take(posteriors.weights, where)
+        weights = posteriors.weights.at[where].set(jnp.where(change.given, change.weights, before))
     return Posterior(
         points=posteriors.points.at[(*where, index)].set(change.point, mode="drop"),
         targets=posteriors.targets.at[(*where, index)].set(change.target, mode="drop"),
-        count=posteriors.count.at[where].set(change.count),
+        count=posteriors.count.at[where].set(count),
         scale=posteriors.scale,
         matrix=matrix,
         weights=weights,

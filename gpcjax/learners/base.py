@@ -48,7 +48,10 @@ class Info(eqx.Module):
     """
 
     rate: Float[Array, "*action"]
-    """Learning rate r_k (3.5): how far the action was moved. For COACH the change of the action at this observation."""
+    """Learning rate r_k (3.5): how far the action was moved, so 0 if the correction was not learned.
+
+    For COACH the change of the action at this observation.
+    """
     sigma_policy: Float[Array, "*action"]
     """Uncertainty of the policy before the correction; NaN for COACH."""
     sigma_human: Float[Array, "*action"]
@@ -134,6 +137,11 @@ class Learner(ByIdentity):
     @abc.abstractmethod
     def resize(self, state: State, policy_capacity: int, human_capacity: int) -> State:
         """The same state with room for these many points in each policy and each human model."""
+
+    @property
+    @abc.abstractmethod
+    def goes_on_when_full(self) -> bool:
+        """Whether a run goes on after a correction that was refused for want of room (`Status.FULL`)."""
 
     @abc.abstractmethod
     def largest_sigma(self) -> Float[Array, ""]:

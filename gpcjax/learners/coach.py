@@ -66,6 +66,10 @@ class COACH(Learner):
         """COACH knows no uncertainty."""
         return jnp.zeros(())
 
+    @property
+    def goes_on_when_full(self) -> bool:
+        return False
+
     def _init(self) -> COACHState:
         shape = (self.action_size, *self.grid.counts)
         return COACHState(policy=jnp.zeros(shape), human=jnp.zeros(shape))
@@ -87,17 +91,18 @@ class COACH(Learner):
         estimate = (state.human * features).sum()  # line 7, before the update of psi
         alpha = jnp.abs(estimate) + constant  # line 10
         rate = alpha * magnitude * (features * features).sum()
-        finite = jnp.isfinite(rate)
-        learns = given & finite
         human_step = beta * (advice - estimate)  # line 8
         policy_step = alpha * advice * magnitude  # line 11
+        policy, human = state.policy + policy_step * features, state.human + human_step * features
+        finite = jnp.isfinite(rate) & jnp.isfinite(action)
+        finite &= jnp.isfinite(policy).all() & jnp.isfinite(human).all()
+        learns = given & finite
         state = COACHState(
-            policy=jnp.where(learns, state.policy + policy_step * features, state.policy),
-            human=jnp.where(learns, state.human + human_step * features, state.human),
+            policy=jnp.where(learns, policy, state.policy), human=jnp.where(learns, human, state.human)
         )
         none = jnp.zeros((), bool)
         info = Info(
-            rate=jnp.where(given, rate, 0.0),
+            rate=jnp.where(learns, rate, 0.0),
             sigma_policy=jnp.array(jnp.nan),
             sigma_human=jnp.array(jnp.nan),
             appended=none,

@@ -19,7 +19,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.regression import Appended, GaussianProcess, Placed, Places, Posterior, small, write
+from gpcjax.gp.regression import (
+    Appended,
+    GaussianProcess,
+    Placed,
+    Places,
+    Posterior,
+    Renewed,
+    small,
+    write,
+)
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
@@ -37,8 +46,8 @@ class GPCChange(eqx.Module):
     Vectors for GPC, however large the factors are; with normalisation all is new.
     """
 
-    policy: Posterior | Placed
-    human: Posterior | Placed | Appended
+    policy: Renewed | Placed
+    human: Renewed | Placed | Appended
 
 
 class GPC(Learner):
@@ -101,6 +110,10 @@ class GPC(Learner):
         """The human model's prior deviation: data only lower it."""
         return jnp.sqrt(self.human.kernel.variance + self.human.noise)
 
+    @property
+    def goes_on_when_full(self) -> bool:
+        return self.on_full == "drop"
+
     def _init(self) -> GPCState:
         unscaled = jnp.ones(1)  # the action is not scaled in GPC
         policy = self.policy.init(self.policy_capacity, self.scaling)
@@ -124,7 +137,7 @@ class GPC(Learner):
 
     def _human(
         self, humans: Posterior, where: Places, pair: Float[Array, " pair"], advice: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Callable[[Bool[Array, ""], Bool[Array, ""]], Posterior | Placed | Appended]]:
+    ) -> tuple[Float[Array, ""], Callable[[Bool[Array, ""], Bool[Array, ""]], Renewed | Placed | Appended]]:
         """sigma_h of a pair, and what it changes: a function of whether it is learned, and of whether H is full."""
         if self.human.lower:
             sigma, appended = self.human.append(humans, where, pair, advice)
@@ -133,7 +146,7 @@ class GPC(Learner):
         nearest = covariances.argmax()
         reading = self.human.read(humans, where, covariances, nearest)
 
-        def learn(learns: Bool[Array, ""], full: Bool[Array, ""]) -> Posterior | Placed:
+        def learn(learns: Bool[Array, ""], full: Bool[Array, ""]) -> Renewed | Placed:
             index = humans.count[where]
             if self.on_full == "replace-nearest":
                 index = jnp.where(full, nearest, index)
@@ -159,42 +172,33 @@ class GPC(Learner):
         policy_full = ~replaces & (policy.count >= policy.capacity)
         human_full = states.human.count[where] >= states.human.capacity
         full = given & (policy_full | human_full)
-        finite = jnp.isfinite(target) & jnp.isfinite(sigma_policy) & jnp.isfinite(sigma_human)
-        learns = given & finite
-
         index = jnp.where(replaces, nearest, policy.count)
-        policy_learns, human_learns = learns, learns
-        if self.on_full == "error":
-            policy_learns = human_learns = learns & ~full
-        elif self.on_full == "drop":
-            policy_learns, human_learns = learns & ~policy_full, learns & ~human_full
-        else:
+        refused = full
+        if self.on_full == "replace-nearest":
+            refused = jnp.array(False)
             replaces = replaces | policy_full
             index = jnp.where(policy_full, nearest, index)
 
-        policy = self.policy.put(states.policy, where, reading, obs, target, index, policy_learns)
-        human = learn_human(human_learns, human_full)
-        finite &= jnp.isfinite(_numbers(human)).all() | ~human_learns
-        finite &= jnp.isfinite(policy.weights).all()
-        refused = full if self.on_full == "error" else jnp.array(False)
-        status = jnp.where(finite | ~given, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
+        # Both models learn a correction or neither does, and nothing that is no number enters any of them.
+        numbers = [obs, action, advice, sigma_policy, sigma_human]
+        finite = jnp.stack([jnp.isfinite(number).all() for number in numbers]).all()
+        learns = given & finite & ~refused
+        change = self.policy.put(states.policy, where, reading, obs, target, index, learns)
+        human = learn_human(learns, human_full)
+        sound = self.policy.sound(change, policy.scale) & self.human.sound(human, states.human.scale[where])
+        finite &= sound | ~learns
+        learns &= finite
+        status = jnp.where(finite, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
         info = Info(
-            rate=jnp.where(given, rate, 0.0),
+            rate=jnp.where(learns, rate, 0.0),
             sigma_policy=sigma_policy,
             sigma_human=sigma_human,
-            appended=policy_learns & ~replaces,
-            replaced=policy_learns & replaces,
+            appended=learns & ~replaces,
+            replaced=learns & replaces,
             full=full,
-            status=status.astype(jnp.int32),
+            status=jnp.where(given, status, Status.OK).astype(jnp.int32),
         )
-        return GPCChange(policy=policy, human=human), info
-
-
-def _numbers(change: Posterior | Placed | Appended) -> Float[Array, "..."]:
-    """The new part of a model."""
-    if isinstance(change, Posterior):
-        return change.scale
-    return change.edit.row if isinstance(change, Placed) else change.row
+        return GPCChange(policy=change.only(learns), human=human.only(learns)), info
 
 
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:

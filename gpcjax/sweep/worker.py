@@ -104,8 +104,11 @@ def give_back_memory() -> None:
 
 
 def rows_of(cell: Cell, lane: Lane) -> CellRows:
-    """What is stored of a finished lane: an episode that never began has no row."""
-    began = np.flatnonzero(lane.rows.length > 0)
+    """What is stored of a finished lane: an episode that never began has no row.
+
+    One that was over before its first step, as its start or the action there was no number, has a row, with NaN.
+    """
+    began = np.flatnonzero((lane.rows.length > 0) | np.isnan(lane.rows.returns))
     status = [Status.OK.label] * len(began)
     if began.size:
         status[-1] = Status(int(lane.status)).label

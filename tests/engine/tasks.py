@@ -35,12 +35,15 @@ class Drift(Env):
     """Two unstable coordinates, each with an action of its own; an episode ends where one passes 2.
 
     With `force` 0 the actions move nothing, so the observations are a recording: they are the same for every learner,
-    whatever its rounding errors. From step `fails_at` on, a start on the right side is not a number.
+    whatever its rounding errors. At step `fails_at` what `fails` names (obs, reward or start) becomes `failure` where
+    the first coordinate is positive, and is well again at the next.
     """
 
     force: Float[Array, ""] = eqx.field(default=0.2, converter=parameter)
     max_steps: int = eqx.field(default=30, static=True)
     fails_at: int = eqx.field(default=1000, static=True)
+    fails: str = eqx.field(default="obs", static=True)
+    failure: float = eqx.field(default=float("nan"), static=True)
 
     name = property(lambda self: "drift")
     obs_size = property(lambda self: 2)
@@ -48,22 +51,26 @@ class Drift(Env):
 
     def reset(self, key: PRNGKeyArray) -> State:
         start = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
-        return begin(start, start)
+        return begin(start, self._failing("start", start[0] > 0.0, start))
 
     def step(self, state: State, action: Float[Array, 2]) -> State:
         at, time = state.physics, state.time + 1
         action = jnp.clip(action, -1.0, 1.0)
         push = self.force * action
         at = jnp.stack([1.06 * at[0] - 0.05 * at[1] + push[0], 1.04 * at[1] + 0.05 * at[0] + push[1]])
-        at = jnp.where((time == self.fails_at) & (at[0] > 0.0), jnp.nan, at)
+        now = (time == self.fails_at) & (at[0] > 0.0)
+        reward = -(at[0] * at[0] + at[1] * at[1] + 0.1 * action[0])
         return State(
             physics=at,
-            obs=at,
-            reward=-(at[0] * at[0] + at[1] * at[1] + 0.1 * action[0]),
+            obs=self._failing("obs", now, at),
+            reward=self._failing("reward", now, reward),
             terminated=(jnp.abs(at[0]) > 2.0) | (jnp.abs(at[1]) > 2.0),
             truncated=time >= self.max_steps,
             time=time,
         )
+
+    def _failing(self, what: str, now: Array, value: Array) -> Array:
+        return jnp.where(now, self.failure, value) if self.fails == what else value
 
 
 def expert(obs: Float[Array, 2]) -> Float[Array, 2]:
@@ -179,24 +186,28 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
             )
         while not at.done and status == Status.OK:
             step = int(at.time)
-            action, clipped, h, asked, chance = propose(
+            action, clipped, h, asked, chance, finite = propose(
                 learner, teacher, state, at.obs, coins(seed, episode, step, learner.action_size)
             )
+            if not (finite and np.isfinite([*at.obs, rows["returns"][episode]]).all()):
+                status = Status.NON_FINITE
+                break
             rows["asked"][episode] += bool(asked)
             rows["chance_sum"][episode] += float(chance) if asked else 0.0
             if np.any(h != 0):
                 state, info = learner.correct(state, at.obs, action, h)
                 info = jax.tree.map(np.asarray, info)
                 status = Status(int(info.status))
+                if status == Status.FULL and learner.on_full == "drop":
+                    status = Status.OK
                 for i in np.flatnonzero(np.asarray(h)):
                     log["where"].append((episode, step, i))
                     log["values"].append(
                         [values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)]
                     )
                     log["outcome"].append([values[i] for values in (info.appended, info.replaced, info.full)])
-                    refused = bool(info.full[i]) and status == Status.FULL
-                    rows["corrections"][episode] += not refused
-                    rows["rate_sum"][episode] += 0.0 if refused else info.rate[i]
+                    rows["corrections"][episode] += info.rate[i] > 0
+                    rows["rate_sum"][episode] += info.rate[i]
                     rows["full"][episode] += bool(info.full[i])
             at = advance(env, at, action)
             rows["returns"][episode] += at.reward
@@ -205,6 +216,8 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
         rows["policy_points"][episode], rows["human_points"][episode] = learner.points(state)
         if not (np.isfinite(rows["returns"][episode]) and np.isfinite(at.obs).all()):
             status = Status.NON_FINITE
+        if status == Status.NON_FINITE:
+            rows["returns"][episode] = np.nan
         if status != Status.OK:
             break
     arrays = {name: np.asarray(values[:LOGGED_CORRECTIONS]) for name, values in log.items()}
@@ -244,7 +257,9 @@ coins = jax.jit(streams.coins, static_argnums=3)
 
 @eqx.filter_jit
 def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, coins: Array) -> tuple:
-    """The action, whether it was clipped, and the advice on it: Alg. 4 with the chance of (3.6), worked out at once."""
+    """The action, whether it was clipped, the advice on it (Alg. 4 with the chance of (3.6), worked out at once), and
+    whether the action is a number.
+    """
     proposed = learner.controller(state)(obs)
     action = jnp.clip(proposed, -1.0, 1.0)
     chance = jnp.broadcast_to(teacher.rate, action.shape)
@@ -254,4 +269,4 @@ def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, coins: Ar
     sign = jnp.sign(gap) * (jnp.abs(gap) > teacher.delta)
     h = jnp.where(coins < chance, sign, 0.0) * jnp.where(coins < chance * teacher.error, -1.0, 1.0)
     asked = (coins < jnp.minimum(teacher.active_gain * learner.largest_sigma() + teacher.rate, 1.0)).any()
-    return action, (jnp.abs(proposed) > 1.0).any(), h, asked, chance.mean()
+    return action, (jnp.abs(proposed) > 1.0).any(), h, asked, chance.mean(), jnp.isfinite(proposed).all()

@@ -1,5 +1,8 @@
 """The loop over a task on the host against a plain one, on recorded observations: rounding errors do not grow."""
 
+import dataclasses
+
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -10,7 +13,7 @@ from gpcjax.envs.host import Simulation
 from gpcjax.learners.base import Status
 from tests.engine.host_tasks import host_drift
 from tests.engine.tasks import ALGORITHMS, TIERS, learner, make_pool, oracle, plain, run, start
-from tests.engine.test_rollout import agrees
+from tests.engine.test_rollout import FAILURES, agrees, ends_where_it_fails
 
 RECORDED = host_drift(force=0.0)
 NARROW = Tier(1, 1, 8)
@@ -89,18 +92,24 @@ def test_a_full_dictionary_ends_the_run_with_its_last_step_counted():
     assert refused.sum() == lane.rows.full[last] > 0 and not refused[:-2].any()
 
 
-def test_a_simulation_that_gives_no_number_ends_the_run():
-    """At step 7 of the first episode that is on the right then; the learner keeps what it knew."""
-    env, ends = host_drift(force=0.0, fails_at=7), set()
+@FAILURES
+def test_what_is_no_number_ends_the_run(fails, failure):
+    """At step 7 of the first episode that is on the right then, though the simulation itself would recover."""
+    env = host_drift(force=0.0, fails_at=7, fails=fails, failure=failure)
     starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(8)]
     lanes = run(make_pool(env, starts[0], (NARROW,)), starts)
-    for each in starts:
-        lane = lanes[each.name]
-        agrees(lane, plain(env, each, NARROW))
-        if lane.status == Status.OK:
-            continue
-        assert lane.status == Status.NON_FINITE and np.isfinite(lane.controller.weights).all()
-        last = np.flatnonzero(lane.rows.length).max()
-        assert np.isnan(lane.rows.returns[last]) and np.isfinite(lane.rows.returns[:last]).all()
-        ends.add(int(last))
-    assert len(ends) > 1
+    assert ends_where_it_fails(env, NARROW, starts, lanes) == {0 if fails == "start" else 7}
+
+
+def test_an_action_that_is_no_number_never_reaches_a_simulation(monkeypatch):
+    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(2)]
+    grid = eqx.tree_at(lambda learner: learner.grid.lower, starts[1].learner, np.full(2, np.nan))
+    starts[1] = dataclasses.replace(starts[1], learner=grid)
+    actions, step = [], Simulation.step
+    monkeypatch.setattr(
+        Simulation, "step", lambda self, action: (actions.append(action), step(self, action))[1]
+    )
+    lanes = run(make_pool(RECORDED, starts[0], (NARROW,)), starts)
+    assert np.isfinite(actions).all() and lanes[0].status == Status.OK
+    assert lanes[1].status == Status.NON_FINITE
+    assert np.isnan(lanes[1].rows.returns[0]) and not lanes[1].rows.length.any()

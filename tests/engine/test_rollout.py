@@ -91,11 +91,18 @@ class TestFull:
         lane = self.lane(on_full)
         assert lane.status == Status.OK and (lane.rows.length > 0).all()
         assert lane.rows.full[1:].all()
-        assert (lane.state.policy.count <= 3).all() and (lane.state.human.count == 8).all()
-        full = lane.log.outcome[: lane.log.count, 2]
+        assert (lane.state.policy.count <= 3).all() and (lane.state.human.count <= 8).all()
+        appended, replaced, full = lane.log.outcome[: lane.log.count].T
         assert full.sum() == lane.rows.full.sum()
-        appended = lane.log.outcome[: lane.log.count, 0]
         assert appended.sum() == lane.state.policy.count.sum()
+        learned, rate = appended | replaced, lane.log.values[: lane.log.count, 0]
+        assert ((rate > 0) == learned).all() and lane.rows.corrections.sum() == learned.sum()
+        np.testing.assert_allclose(lane.rows.rate_sum.sum(), rate.sum())
+        if on_full == "drop":  # neither model learns what one has no room for
+            assert not (learned & full).any()
+            assert (learned.sum() == lane.state.human.count.sum()) and lane.rows.corrections[-1] < full.sum()
+        else:
+            assert learned.all()
 
 
 class Always(Oracle):
@@ -131,20 +138,54 @@ def test_active_learning():
     assert 0.1 < rate < 0.9 * largest
 
 
-def test_broken_physics_end_with_a_status():
-    """At step 7 of the first episode that goes to the right; the learner keeps what it knew."""
-    env, tier = Drift(force=0.0, fails_at=7), Tier(1, 1, 8)
-    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(8)]
-    lanes = run(make_pool(env, starts[0], (tier,)), starts)
+FAILURES = pytest.mark.parametrize(
+    ("fails", "failure"),
+    [("obs", np.nan), ("obs", np.inf), ("reward", -np.inf), ("reward", np.nan), ("start", np.nan)],
+)
+
+
+def ends_where_it_fails(env, tier, starts, lanes):
+    """Each run at the first number that is none, as the plain loop; the learner keeps what it knew."""
     ends = set()
     for each in starts:
         lane = lanes[each.name]
         agrees(lane, plain(env, each, tier))
-        assert lane.status == Status.NON_FINITE and np.isfinite(lane.controller.weights).all()
-        last = np.flatnonzero(lane.rows.length).max()
-        assert np.isnan(lane.rows.returns[last]) and np.isfinite(lane.rows.returns[:last]).all()
-        ends.add(int(last))
-    assert len(ends) > 1
+        assert np.isfinite(lane.controller.weights).all()
+        if lane.status == Status.OK:
+            continue
+        assert lane.status == Status.NON_FINITE
+        (last,) = np.flatnonzero(np.isnan(lane.rows.returns))
+        assert not lane.rows.length[last + 1 :].any()
+        ends.add((int(last), int(lane.rows.length[last])))
+    assert len({episode for episode, _ in ends}) > 1
+    return {step for _, step in ends}
+
+
+@FAILURES
+def test_what_is_no_number_ends_the_run(fails, failure):
+    """At step 7 of the first episode that is on the right there, though the task itself would recover."""
+    env, tier = Drift(force=0.0, fails_at=7, fails=fails, failure=failure), Tier(1, 1, 8)
+    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(8)]
+    lanes = run(make_pool(env, starts[0], (tier,)), starts)
+    assert ends_where_it_fails(env, tier, starts, lanes) == {0 if fails == "start" else 7}
+
+
+def test_an_action_that_is_no_number_is_never_executed():
+    """Though this task would take no notice of it, and a broken run stops beside healthy ones."""
+    tier = Tier(1, 1, 8)
+    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(4)]
+    for index, value in ((1, np.nan), (2, np.inf)):
+        grid = eqx.tree_at(lambda learner: learner.grid.lower, starts[index].learner, np.full(2, value))
+        starts[index] = dataclasses.replace(starts[index], learner=grid)
+    lanes = run(make_pool(RECORDED, starts[0], (tier,)), starts)
+    for each in starts:
+        expected = plain(RECORDED, each, tier)
+        assert lanes[each.name].status == expected.status
+        np.testing.assert_allclose(lanes[each.name].rows.returns, expected.rows["returns"])
+    for index in (1, 2):
+        assert lanes[index].status == Status.NON_FINITE
+        assert np.isnan(lanes[index].rows.returns[0]) and not lanes[index].rows.length.any()
+    agrees(lanes[3], plain(RECORDED, starts[3], tier))
 
 
 def test_a_correction_that_is_not_finite_stops_the_run_there():
@@ -153,5 +194,6 @@ def test_a_correction_that_is_not_finite_stops_the_run_there():
     each = dataclasses.replace(each, learner=infinite)
     lane = run(make_pool(RECORDED, each, (Tier(1, 1, 8),)), [each])[0]
     assert lane.status == Status.NON_FINITE
-    assert lane.rows.length[0] == lane.log.where[0, 1] + 1
+    assert lane.rows.length[0] == lane.log.where[0, 1] + 1 and np.isnan(lane.rows.returns[0])
     assert not lane.rows.length[1:].any() and not lane.controller.weights.any()
+    assert lane.rows.corrections[0] == 0 < lane.log.count and not lane.log.values[0, 0].any()

@@ -87,7 +87,7 @@ class TestFull:
     def test_error_refuses(self, algo):
         _, before, after, info = self.correct(algo, "error")
         assert_same_bits(after, before)
-        assert info.status == Status.FULL and info.full
+        assert info.status == Status.FULL and info.full and info.rate == 0
         assert not info.appended and not info.replaced
 
     def test_replace_nearest_replaces_in_both(self, algo):
@@ -102,17 +102,13 @@ class TestFull:
         assert after.human.targets[0, 0] == -1
         assert after.policy.targets[0, 0] == pytest.approx(0.1 - info.rate[0])
 
-    def test_drop_learns_nothing_more(self, algo):
-        _, before, after, info = self.correct(algo, "drop")
+    @pytest.mark.parametrize("room", [{}, {"policy": 8}, {"human": 8}])
+    def test_drop_refuses_for_both_models(self, algo, room):
+        """Whichever has no room: neither learns, and the answer says so."""
+        _, before, after, info = self.correct(algo, "drop", **room)
         assert_same_bits(after, before)
-        assert info.status == Status.OK and info.full
+        assert info.status == Status.FULL and info.full and info.rate == 0
         assert not info.appended and not info.replaced
-
-    def test_drop_leaves_a_model_with_room_alone(self, algo):
-        """Only H is full: P still learns."""
-        _, before, after, info = self.correct(algo, "drop", policy=8)
-        assert_same_bits(after.human, before.human)
-        assert after.policy.count == 5 and info.appended and info.full
 
     def test_replace_nearest_leaves_a_model_with_room_alone(self, algo):
         _, _, after, info = self.correct(algo, "replace-nearest", policy=8)
@@ -127,15 +123,21 @@ class TestFull:
         assert after.policy.count == 4 and after.human.count == 5
 
 
-@each_variant
-def test_what_is_not_finite_is_refused(algo):
-    learner = make_learner(algo, "cartpole", capacity=16)
-    state = taught(learner)
-    for value in (np.nan, np.inf, -np.inf):
-        for obs, action in ((np.array([0, value, 0, 0]), [0.0]), (np.zeros(4), [value])):
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+@pytest.mark.parametrize("count", [0, 1, 10])
+def test_what_is_not_finite_never_enters_a_state(algo, count):
+    """Nor what makes other numbers infinite, be the dictionary empty or not."""
+    learner = make_learner(algo, "cartpole", **({"capacity": 16} if algo != "coach" else {}))
+    state = taught(learner, count)
+    for value in (np.nan, np.inf, -np.inf, 1e200):
+        for obs, action in ((np.array([0, 0, 0, value]), [0.0]), (np.zeros(4), [value])):
             after, info = learner.correct(state, obs, action, [1])
+            assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
+            assert np.isfinite(learner.act(after, np.array([0.1, 0.0, 0.02, -0.1]))).all()
+            if np.isfinite(value):
+                continue
             assert_same_bits(after, state)
-            assert info.status == Status.NON_FINITE
+            assert info.status == Status.NON_FINITE and info.rate == 0
             assert not info.appended and not info.replaced
 
 

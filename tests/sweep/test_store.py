@@ -257,6 +257,7 @@ def test_the_rows_of_a_lane():
 
     length = np.array([5, 7, 0], np.int32)
     measured = {field.name: length for field in dataclasses.fields(EpisodeRows)}
+    measured["returns"] = np.array([1.0, np.nan, 0.0])
     log = {
         "where": np.arange(3 * LOGGED_CORRECTIONS).reshape(-1, 3),
         "values": np.ones((LOGGED_CORRECTIONS, 3)),
@@ -271,8 +272,13 @@ def test_the_rows_of_a_lane():
     got = rows_of(cell, lane)
     assert got.cell is cell
     assert got.episode.tolist() == [1, 2] and got.status == ["ok", "non-finite"]
-    assert all(values.tolist() == [5, 7] for values in got.episodes.values())
+    assert all(got.episodes[name].tolist() == [5, 7] for name in measured if name != "returns")
     assert got.corrections["where"].tolist() == [[0, 1, 2], [3, 4, 5]]
+
+    # A start that is no number: an episode without a step, but a row that tells of it.
+    lane.rows.length[1] = 0
+    got = rows_of(cell, lane)
+    assert got.episode.tolist() == [1, 2] and got.status == ["ok", "non-finite"]
 
 
 def _of(kind, **fields):
