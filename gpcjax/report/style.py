@@ -163,14 +163,17 @@ def follow_lines(axes: Sequence[Axes], also: Sequence[float] = (), bottom: float
 
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One legend above the panels, where it covers no data; in two rows or more where one is too long."""
+    """One legend above the panels, where it covers no data; in two rows or more where one is too long.
+
+    To the left: a phone shows the beginning of a wide figure.
+    """
     inches = sum(0.47 + 0.058 * len(str(handle.get_label())) for handle in handles)
     rows = -(-inches // figure.get_figwidth())
     columns = int(-(-len(handles) // max(rows, 1)))
     if handles:
         figure.legend(
             handles=list(handles),
-            loc="outside upper center",
+            loc="outside upper left",
             ncols=columns,
             handlelength=1.8,
             columnspacing=1.6,
