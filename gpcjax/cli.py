@@ -124,11 +124,12 @@ def _report(out: Path) -> int:
 
     from gpcjax.report.run import draw
     from gpcjax.report.tables import render
+    from gpcjax.report.words import printable
 
     summary = draw(out)
     width = None if sys.stdout.isatty() else 160  # a file or pipe is no narrow terminal
     Console(width=width).print(render(summary))
-    print(f"{out}: {', '.join(path.name for path in summary.files)}")
+    print(printable(f"{out}: {', '.join(path.name for path in summary.files)}", sys.stdout.encoding))
     return 0
 
 

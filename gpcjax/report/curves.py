@@ -1,5 +1,6 @@
 """Learning curves (as Figs. 5.1 and 5.4 of the thesis) and learning rates (as Fig. 5.2)."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,19 +8,24 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from gpcjax.report import style, words
-from gpcjax.report.groups import Baseline, Group, Study
+from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study
 from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
+from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Summary
 
 FIRST_CORRECTIONS = 150
 WINDOW = 3
 """Episodes of the walking mean."""
+
+STRIP = 0.08
+"""Width of the column of an algorithm's final returns, in parts of that of the curves."""
+
+CUT = "Wide intervals are cut at the edge of a panel."
 
 ORACLE_LINE: dict[str, Any] = {
     "color": style.ORACLE_COLOUR,
@@ -36,67 +42,108 @@ IDLE_LINE: dict[str, Any] = {
 }
 
 
-def learning_curves(summary: Summary) -> Figure:
+def learning_curves(summary: Summary) -> Drawing:
     """Return against episode, a panel for each oracle and error rate.
 
-    Of each algorithm: the mean over runs (faint), its walking mean and that one's 95% interval. Of a grid the best
-    point, the other points as thin lines. Behind them the oracle (mean and one standard deviation) and the idle policy.
+    Of each algorithm: the mean over runs (faint), its walking mean and that one's 95% interval; beside the panel the
+    final return of each run. Of a grid the best point, the other points as thin lines. Behind them the oracle (mean
+    and one standard deviation) and the idle policy.
     """
     study = summary.study
     with style.publication():
-        figure, axes = _figure(study)
+        figure, axes = style.panels(_titles(study), _columns(study))
+        reach: list[float] = []
+        leading: dict[Axes, list[Group]] = {}
         for (oracle, error), axis in zip(study.panels, axes, strict=True):
-            _baselines(axis, study.oracle(oracle), study.idle)
-            for group in study.select(oracle, error):
-                if group.runs:
-                    _curve(axis, group, leading=summary.of(group).best)
+            reach += _baselines(axis, study.oracle(oracle), study.idle)
+            groups = [group for group in study.select(oracle, error) if group.runs]
+            for group in groups:
+                _curve(axis, group, leading=summary.of(group).best)
             style.count_ticks(axis, study.episodes)
             axis.yaxis.set_major_locator(MaxNLocator(nbins=6))
-            axis.margins(y=0.04)
+            leading[axis] = [group for group in groups if summary.of(group).best]
+            reach += [value for group in leading[axis] for value in group.final.values]
+        cut = style.follow_lines(axes, reach)
+        for axis, groups in leading.items():
+            _strip(axis, groups, study)
         style.label(axes, "episode", words.return_label(study))
         style.legend(figure, _algorithms(study) + _baseline_handles(study))
-    return figure
+    return Drawing(figure, "Learning curves", _curves_caption(summary, cut))
 
 
-def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Figure | None:
-    """Median learning rate of each of the first corrections, with 95% interval, a panel for each oracle and error.
+def _curves_caption(summary: Summary, cut: bool) -> str:
+    study = summary.study
+    sentences = [
+        f"Learning curves in {study.env} ({words.runs(study)} a line). Strong lines: walking mean of {WINDOW} episodes "
+        "of the mean over runs, with its 95% interval; faint lines: the mean itself. Right of each panel the final "
+        f"return of every run (mean of its last {FINAL_EPISODES} episodes), with a bar at their mean.",
+    ]
+    if study.varying:
+        sentences.append(
+            "Of a grid the point with the highest mean final return; thin lines are the other points."
+        )
+    if any(group.broke_down.any() for group in study.groups):
+        sentences.append(
+            "Runs that stopped (crosses) have the idle policy's mean return from the episode on in which they stopped."
+        )
+    return " ".join([*sentences, *([CUT] if cut else [])])
 
-    The median, as COACH's rate is unbounded: off its grid a single run may take steps a hundred times the usual.
-    A line ends where fewer than half of the runs have so many corrections. Of a grid the best point. None if no
-    run that can be compared has a correction.
+
+def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | None:
+    """Median learning rate of each of the first corrections, with 95% interval.
+
+    A panel for each oracle, error rate and action dimension: a dimension is corrected by itself. The median, as
+    COACH's rate is unbounded: off its grid a single run may take steps a hundred times the usual. A line ends where
+    fewer than half of the runs have so many corrections. Of a grid the best point. None if no run that is counted has
+    a correction.
     """
     study = summary.study
     if corrections.empty:
         return None
-    rates = {
-        group: common_rates(group, corrections)
-        for group in study.groups
-        if group.runs and summary.of(group).best
-    }
+    dimensions = sorted(corrections["action_dim"].unique().tolist())
+    groups = [group for group in study.groups if group.runs and summary.of(group).best]
+    rates = {(group, d): common_rates(group, corrections, d) for group in groups for d in dimensions}
     longest = max((rate.shape[1] for rate in rates.values()), default=0)
     if not longest:
         return None
+    several = len(dimensions) > 1
+    panels = [(*panel, d) for d in dimensions for panel in study.panels]
+    titles = [
+        title + (f", {words.action(study.env, d)}" if several else "")
+        for d in dimensions
+        for title in _titles(study)
+    ]
     with style.publication():
-        figure, axes = _figure(study)
-        for (oracle, error), axis in zip(study.panels, axes, strict=True):
+        figure, axes = style.panels(titles, len(study.errors) if several else _columns(study))
+        for (oracle, error, dimension), axis in zip(panels, axes, strict=True):
             for group in study.select(oracle, error):
-                if group in rates and rates[group].size:
-                    index = np.arange(1, rates[group].shape[1] + 1)
-                    line(axis, index, median_band(rates[group]), style.colour(group.algo))
+                band = rates.get((group, dimension))
+                if band is not None and band.size:
+                    line(axis, np.arange(1, band.shape[1] + 1), median_band(band), style.colour(group.algo))
             style.count_ticks(axis, longest)
-        axes[0].set_ylim(bottom=0)  # for all panels, once all lines are there
+        cut = style.follow_lines(axes, bottom=0.0)
         style.label(axes, "correction", "learning rate, median of runs")
         style.legend(figure, _algorithms(study))
-    return figure
+    sentences = [
+        f"Learning rate of the first {FIRST_CORRECTIONS} corrections{' of each action dimension' if several else ''}: "
+        "median over runs with its 95% interval. A line ends where fewer than half of the runs have so many "
+        "corrections."
+    ]
+    sentences += ["Of a grid the point with the highest mean final return."] if study.varying else []
+    return Drawing(figure, "Learning rates", " ".join([*sentences, *([CUT] if cut else [])]))
 
 
-def _figure(study: Study) -> tuple[Figure, list[Axes]]:
+def _titles(study: Study) -> list[str]:
     several = len({oracle for oracle, _ in study.panels}) > 1
-    titles = [
+    return [
         (f"oracle {oracle}, " if several else "") + f"{words.percent(error)} error"
         for oracle, error in study.panels
     ]
-    return style.panels(titles, columns=len(study.errors) if several else None)
+
+
+def _columns(study: Study) -> int | None:
+    """A row for each oracle, if there are several."""
+    return len(study.errors) if len({oracle for oracle, _ in study.panels}) > 1 else None
 
 
 def _curve(axis: Axes, group: Group, leading: bool) -> None:
@@ -116,12 +163,61 @@ def line(axis: Axes, x: np.ndarray, band: Band, colour: str) -> None:
     axis.plot(x, band.mean, color=colour, marker=marker, markersize=3, zorder=4)
 
 
-def _baselines(axis: Axes, oracle: Baseline, idle: Baseline) -> None:
+def _strip(axis: Axes, groups: Sequence[Group], study: Study) -> None:
+    """Right of the last episode, on the panel's scale: a dot for the final return of each run, by algorithm.
+
+    Outcomes are often of two kinds, which no mean tells. Dots that would cover each other lie side by side.
+    """
+    (first, last), (low, high) = (1, max(study.episodes, 2)), axis.get_ylim()
+    column = STRIP * (last - first)
+    begin = last + 0.6 * column
+    axis.set_xlim(first, begin + column * len(study.algorithms))
+    axis.spines["bottom"].set_bounds(first, last)
+    for group in groups:
+        colour, values = style.colour(group.algo), group.final.values
+        middle = begin + column * (study.algorithms.index(group.algo) + 0.5)
+        x = middle + column * _side_by_side((values - low) / (high - low))
+        for chosen, marker in ((~group.broke_down, "."), (group.broke_down, "x")):
+            axis.plot(
+                x[chosen],
+                values[chosen],
+                linestyle="none",
+                marker=marker,
+                markersize=4.0 if marker == "." else 3.0,
+                markeredgewidth=0.0 if marker == "." else 0.6,
+                color=colour,
+                alpha=0.6,
+            )
+        bar = [middle - 0.45 * column, middle + 0.45 * column]
+        axis.plot(bar, [values.mean()] * 2, color=style.INK, linewidth=1.0, solid_capstyle="butt")
+    if axis.xaxis.get_tick_params()["labelbottom"]:
+        middle = begin + column * len(study.algorithms) / 2
+        axis.text(
+            middle, -0.03, "final", transform=axis.get_xaxis_transform(), fontsize=7.0, ha="center", va="top"
+        )
+
+
+def _side_by_side(heights: Float[np.ndarray, "runs"]) -> Float[np.ndarray, "runs"]:
+    """Shifts, in [-0.4, 0.4], of dots at these parts of the height of their axis: dots of one fortieth share a row."""
+    shift = np.zeros(len(heights))
+    rows = np.floor(40 * heights)
+    for row in np.unique(rows):
+        members = np.flatnonzero(rows == row)
+        width = min(0.8, 0.14 * (len(members) - 1))
+        shift[members] = np.linspace(-width / 2, width / 2, len(members)) if len(members) > 1 else 0.0
+    return shift
+
+
+def _baselines(axis: Axes, oracle: Baseline, idle: Baseline) -> list[float]:
+    """Draws them, and says how far they reach."""
+    reach = []
     if oracle.n:
-        axis.axhspan(oracle.mean - oracle.std, oracle.mean + oracle.std, **ORACLE_BAND)
+        reach = [oracle.mean - oracle.std, oracle.mean + oracle.std]
+        axis.axhspan(*reach, **ORACLE_BAND)
         axis.axhline(oracle.mean, **ORACLE_LINE)
     if idle.n:
         axis.axhline(idle.mean, **IDLE_LINE)
+    return reach
 
 
 def _algorithms(study: Study) -> list[Artist]:
@@ -142,25 +238,34 @@ def _baseline_handles(study: Study) -> list[Artist]:
     return handles
 
 
-def first_rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
-    """The first learning rates of the group's runs (as `group.seeds`) in their order, nan after a run's last one."""
+def first_rates(
+    group: Group, corrections: pd.DataFrame, dimension: int | None = None
+) -> Float[np.ndarray, "runs corrections"]:
+    """The first learning rates of the group's runs (as `group.seeds`) in their order, nan after a run's last one.
+
+    Those of one action dimension, or of all in one row: by step, then dimension. A rate that is not finite is nan.
+    """
     chosen = _belongs(group, corrections)
-    seed, episode, step, dimension, rate = (
+    if dimension is not None:
+        chosen &= corrections["action_dim"].to_numpy() == dimension
+    seed, episode, step, action, rate = (
         corrections[name].to_numpy(np.float64)[chosen]
         for name in ("seed", "episode", "step", "action_dim", "rate")
     )
-    order = np.lexsort((dimension, step, episode, seed))
+    order = np.lexsort((action, step, episode, seed))
     seeds, start, run = np.unique(seed[order], return_index=True, return_inverse=True)
     index = np.arange(len(order)) - start[run]
     early = index < FIRST_CORRECTIONS
     rates = np.full((group.runs, FIRST_CORRECTIONS), np.nan)
     rates[np.searchsorted(group.seeds, seeds)[run[early]], index[early]] = rate[order][early]
-    return rates
+    return np.where(np.isfinite(rates), rates, np.nan)
 
 
-def common_rates(group: Group, corrections: pd.DataFrame) -> Float[np.ndarray, "runs corrections"]:
+def common_rates(
+    group: Group, corrections: pd.DataFrame, dimension: int | None = None
+) -> Float[np.ndarray, "runs corrections"]:
     """The same, as far as half of the runs have so many."""
-    rates = first_rates(group, corrections)
+    rates = first_rates(group, corrections, dimension)
     enough = 2 * (~np.isnan(rates)).sum(axis=0) >= group.runs
     return rates[:, : len(enough) if enough.all() else enough.argmin()]
 

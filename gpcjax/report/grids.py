@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gpcjax.report import style, words
+from gpcjax.report.curves import CUT
 from gpcjax.report.groups import Group, unique
-from gpcjax.report.statistics import interquartile_interval, interquartile_mean
+from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Row, Summary
 
 COLOURS = "cividis"
@@ -46,8 +47,8 @@ class _Fields(NamedTuple):
     tied: Bool[np.ndarray, "y x"]
 
 
-def final_returns(summary: Summary) -> Figure | None:
-    """Interquartile mean of the final return over the grid, a panel for each algorithm, oracle and error rate.
+def final_returns(summary: Summary) -> Drawing | None:
+    """Mean over runs of the final return over the grid, a panel for each algorithm, oracle and error rate.
 
     The first two settings with several values span a heatmap; where more vary, a field shows the best over the
     others. With one setting the algorithms share a panel of lines with their 95% intervals. A star marks the best
@@ -61,12 +62,20 @@ def final_returns(summary: Summary) -> Figure | None:
         figure, axes = style.panels([panel.title for panel in panels], columns, share=False)
         drawn = list(zip(panels, axes, strict=True))
         label = "final " + words.return_label(study)
-        _draw_lines([(panel, axis) for panel, axis in drawn if len(panel.axes) == 1], summary, label)
+        lines = [(panel, axis) for panel, axis in drawn if len(panel.axes) == 1]
+        cut = _draw_lines(lines, summary, label)
         _draw_heatmaps(
             figure, [(panel, axis) for panel, axis in drawn if len(panel.axes) == 2], summary, label
         )
         style.legend(figure, _legend(panels))
-    return figure
+    sentences = [
+        f"Final return over {words.listed([words.meaning(name) for name in study.varying])}: mean over runs"
+        f"{', of lines with its 95% interval' if lines else ''}. The star is the best point; points that are not "
+        "significantly worse on the same seeds are tied with it."
+    ]
+    if len(study.varying) > 2:
+        sentences.append("A field shows the best over the settings that are not on its axes.")
+    return Drawing(figure, "Final return over the grid", " ".join([*sentences, *([CUT] if cut else [])]))
 
 
 def _panels(summary: Summary) -> list[_Panel]:
@@ -118,7 +127,7 @@ def _fields(panel: _Panel, summary: Summary) -> _Fields:
     for group in panel.groups:
         if group.runs:
             place = y.index(dict(group.point.values)[up]), x.index(dict(group.point.values)[across])
-            final[place] = np.fmax(final[place], _final(group))
+            final[place] = np.fmax(final[place], summary.of(group).final.estimate)
             best[place] |= summary.of(group).best
             tied[place] |= summary.of(group).tied
     return _Fields(x, y, final, best, tied)
@@ -145,15 +154,12 @@ def _heatmap(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize)
             )
 
 
-def _draw_lines(drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: str) -> None:
-    """All panels of lines with the same height."""
+def _draw_lines(drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: str) -> bool:
+    """All panels of lines with the same height; whether an interval is cut."""
     for panel, axis in drawn:
         _lines(axis, panel, summary)
         axis.set_ylabel(label)
-    if drawn:
-        low, high = zip(*(axis.get_ylim() for _, axis in drawn), strict=True)
-        for _, axis in drawn:
-            axis.set_ylim(min(low), max(high))
+    return style.follow_lines([axis for _, axis in drawn]) if drawn else False
 
 
 def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
@@ -161,7 +167,7 @@ def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
     for algo in unique(group.algo for group in panel.groups):
         groups = [group for group in panel.groups if group.algo == algo and group.runs]
         x = np.array([group.point.get(name) for group in groups], dtype=np.float64)
-        estimates = np.array([interquartile_interval(group.final.values[:, None]) for group in groups])
+        estimates = np.array([summary.of(group).final for group in groups])
         colour = style.colour(algo)
         axis.fill_between(x, estimates[:, 1], estimates[:, 2], color=colour, alpha=0.2, linewidth=0)
         axis.plot(x, estimates[:, 0], color=colour)
@@ -212,10 +218,6 @@ def _legend(panels: Sequence[_Panel]) -> list[Artist]:
 
 def _values(groups: Sequence[Group], name: str) -> list[float]:
     return sorted({value for group in groups if (value := group.point.get(name)) is not None})
-
-
-def _final(group: Group) -> float:
-    return interquartile_mean(group.final.values[:, None])
 
 
 def _ink(shade: float) -> str:

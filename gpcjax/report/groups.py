@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS
@@ -64,9 +64,13 @@ class Point:
 class Group:
     """The runs of one algorithm with one oracle, error rate and point.
 
-    `seeds`, `returns` and `corrections` (in each episode) hold the runs that can be compared: finished, status ok.
-    `stopped` are those whose status is not ok; `unfinished` the seeds whose episodes are not all there yet.
-    `limits` are totals over the runs that can be compared.
+    `seeds`, `returns` and `corrections` (in each episode) hold the runs that are counted: those that are finished, and
+    those that stopped. A teaching that broke down leaves a robot that does nothing: from the episode in which a run
+    stopped on (no matter how far it got in it), its return is the mean of the idle policy's, and after it there are no
+    corrections. Where the store does not say what the idle policy returns, stopped runs cannot be counted.
+
+    `stopped` are the runs whose status is not ok, or that have a return that is not finite; `unfinished` the seeds
+    whose episodes are not all there yet. `limits` are totals over what the counted runs did.
     """
 
     oracle: str
@@ -83,6 +87,16 @@ class Group:
     @property
     def runs(self) -> int:
         return len(self.seeds)
+
+    @property
+    def broke_down(self) -> Bool[np.ndarray, "runs"]:
+        """Which of the counted runs stopped."""
+        return np.isin(self.seeds, [stop.seed for stop in self.stopped])
+
+    @property
+    def uncounted(self) -> tuple[Stop, ...]:
+        """The stopped runs that are in no number."""
+        return tuple(stop for stop in self.stopped if stop.seed not in self.seeds)
 
     @property
     def final(self) -> Scores:
@@ -165,9 +179,11 @@ def gather(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Study:
     specification = manifest.get("specification", {})
     baselines = manifest.get("baselines") or {}
     varying = tuple(name for name in manifest.get("varying", ()) if name in episodes.columns)
-    length = _length(episodes, specification.get("episodes"))
-    keys = ["oracle", "error", "algo", *varying]
-    groups = [_group(rows, varying, length) for _, rows in episodes.groupby(keys, dropna=False, sort=False)]
+    keys, idle = ["oracle", "error", "algo", *varying], _baseline(baselines.get("idle"))
+    length = _length(episodes, keys, specification.get("episodes"))
+    groups = [
+        _group(rows, varying, length, idle) for _, rows in episodes.groupby(keys, dropna=False, sort=False)
+    ]
     oracles, algorithms = specification.get("oracle", ()), specification.get("algo", ALGORITHMS)
 
     def place(group: Group) -> tuple[Any, ...]:
@@ -179,7 +195,7 @@ def gather(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Study:
         groups=tuple(sorted(groups, key=place)),
         episodes=length,
         varying=varying,
-        idle=_baseline(baselines.get("idle")),
+        idle=idle,
         oracles={name: _baseline(numbers) for name, numbers in (baselines.get("oracles") or {}).items()},
         manifest=manifest,
     )
@@ -190,26 +206,42 @@ def unique(values: Iterable[T]) -> tuple[T, ...]:
     return tuple(dict.fromkeys(values))
 
 
-def _length(episodes: pd.DataFrame, specified: int | None) -> int:
-    episode, ok = episodes["episode"].to_numpy(np.int64), np.asarray(episodes["status"] == "ok")
-    reached = int(episode[ok].max() if ok.any() else episode.max())
+def _broken(rows: pd.DataFrame) -> Bool[np.ndarray, "rows"]:
+    """The episodes in which a run stopped."""
+    return np.asarray(rows["status"] != "ok") | ~np.isfinite(rows["return"].to_numpy(np.float64))
+
+
+def _length(episodes: pd.DataFrame, keys: Sequence[str], specified: int | None) -> int:
+    """How long runs are compared: what is specified, or as far as the longest run is that is still to be finished."""
+    run = episodes.groupby([*keys, "seed"], dropna=False, sort=False).ngroup().to_numpy()
+    over = np.bincount(run, weights=_broken(episodes))[run] > 0
+    episode = episodes["episode"].to_numpy(np.int64)
+    if over.all():
+        return int(specified or episode.max())
+    reached = int(episode[~over].max())
     return min(specified, reached) if specified else reached
 
 
-def _group(rows: pd.DataFrame, varying: Sequence[str], length: int) -> Group:
+def _group(rows: pd.DataFrame, varying: Sequence[str], length: int, idle: Baseline) -> Group:
     key = rows.iloc[0]
     seeds, run = np.unique(rows["seed"].to_numpy(np.int64), return_inverse=True)
     episode, status = rows["episode"].to_numpy(np.int64), rows["status"].to_numpy(str)
-    stopped = {
-        seeds[run[i]]: Stop(int(seeds[run[i]]), int(episode[i]), status[i])
-        for i in np.flatnonzero(status != "ok")
-    }
-    returns, corrections = (np.full((len(seeds), max(length, episode.max())), np.nan) for _ in range(2))
+    longest = max(length, int(episode.max()))
+    returns, corrections = np.full((len(seeds), longest), np.nan), np.zeros((len(seeds), longest))
+    there = np.zeros(returns.shape, dtype=bool)
     returns[run, episode - 1] = rows["return"].to_numpy(np.float64)
     corrections[run, episode - 1] = rows["corrections"].to_numpy(np.float64)
-    whole = ~np.isnan(returns[:, :length]).any(axis=1)
-    ok = ~np.isin(seeds, list(stopped))
-    kept = whole & ok
+    there[run, episode - 1] = True
+    stops: dict[int, Stop] = {}
+    for i in sorted(np.flatnonzero(_broken(rows)), key=lambda i: episode[i]):
+        stops.setdefault(run[i], Stop(int(seeds[run[i]]), int(episode[i]), _reason(status[i])))
+    for place, stop in stops.items():
+        returns[place, stop.episode - 1 :] = idle.mean
+        corrections[place, stop.episode :] = 0.0
+        there[place, stop.episode - 1 :] = True
+    whole = np.asarray(there[:, :length].all(axis=1))
+    broke = np.isin(np.arange(len(seeds)), list(stops))
+    kept = whole & (~broke | (idle.n > 0))
     return Group(
         oracle=str(key["oracle"]),
         error=float(key["error"]),
@@ -218,12 +250,16 @@ def _group(rows: pd.DataFrame, varying: Sequence[str], length: int) -> Group:
         seeds=seeds[kept],
         returns=returns[kept, :length],
         corrections=corrections[kept, :length],
-        stopped=tuple(stopped.values()),
-        unfinished=tuple(seeds[ok & ~whole].tolist()),
+        stopped=tuple(stops[place] for place in sorted(stops) if whole[place]),
+        unfinished=tuple(seeds[~whole].tolist()),
         limits=Limits(
             *(int(rows[name].to_numpy()[kept[run]].sum()) for name in ("length", "clipped", "full"))
         ),
     )
+
+
+def _reason(status: str) -> str:
+    return "non-finite" if status == "ok" else status
 
 
 def _baseline(numbers: Mapping[str, Any] | None) -> Baseline:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from gpcjax.report import tables, words
+from gpcjax.report import style, tables, words
 from gpcjax.report.statistics import RESAMPLES
 from gpcjax.report.summary import Summary
 from gpcjax.report.tables import Sheet
@@ -15,7 +15,10 @@ MOST_ROWS = 600
 """Longer tables are left to the files."""
 
 PIXELS = 120
-"""Of the screen for an inch of a figure: a full row of panels fills the page."""
+"""Of the screen for an inch of a figure: a full row of panels fills the page, and its smallest text has 12 pixels.
+
+On a narrow screen the figure is not shrunk but scrolls, as the tables do.
+"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,12 @@ class Picture:
     inches: float
     alternative: str
     caption: str
+
+
+def pictured(drawing: style.Drawing) -> Picture:
+    """A drawing for the page."""
+    figure, alternative, caption = drawing
+    return Picture(style.image(figure, "svg"), figure.get_figwidth(), alternative, caption)
 
 
 def page(summary: Summary, pictures: Iterable[Picture]) -> str:
@@ -46,7 +55,8 @@ def page(summary: Summary, pictures: Iterable[Picture]) -> str:
         *map(table, tables.limits_sheets(summary)),
         paragraph(
             "Steps of the runs that are in the numbers; clipped: the part of them whose action was outside [-1, 1]; "
-            "met full: corrections that met a full dictionary; stopped: runs that ended before their time."
+            "met full: corrections that met a full dictionary; stopped: runs that ended before their time, with the "
+            "steps until then."
         ),
         "<h2>How the numbers are made</h2>",
         definitions(_methods(summary)),
@@ -145,8 +155,8 @@ def picture(picture: Picture) -> str:
     """A figure with its caption, inside of the page."""
     source = base64.b64encode(picture.svg).decode()
     return (
-        f'<figure><img width="{round(PIXELS * picture.inches)}" alt="{escape(picture.alternative)}" '
-        f'src="data:image/svg+xml;base64,{source}">'
+        f'<figure><div class="drawing"><img width="{round(PIXELS * picture.inches)}" '
+        f'alt="{escape(picture.alternative)}" src="data:image/svg+xml;base64,{source}"></div>'
         f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
     )
 
@@ -199,23 +209,28 @@ def _throughput(manifest: Mapping[str, Any]) -> dict[str, str]:
 def _methods(summary: Summary) -> dict[str, str]:
     methods = {
         "Runs": "One run is one seed. The same seed means the same starts and the same draws of the teacher for every "
-        "algorithm. Runs that stopped early or have not finished are in no number and no curve.",
-        "Final return": f"The mean return of a run's last {tables.FINAL_EPISODES} episodes; of these the interquartile "
-        "mean over runs: a quarter of the runs is cut from each end before the mean is taken.",
+        "algorithm. A run that stopped (a full dictionary, a number that is not finite) keeps the returns of the "
+        "episodes that it finished; from the one in which it stopped on it counts as a robot that does nothing, with "
+        "the mean return of the idle policy and no corrections. Runs that are not finished are in no number and no "
+        "curve.",
+        "Final return": f"The mean return of a run's last {tables.FINAL_EPISODES} episodes; its mean over runs. Beside "
+        "the learning curves stands that of each run.",
         "Area": "The area under the learning curve, as the mean return of an episode; its mean over runs.",
         f"To {tables.CLOSED}": f"The first episode (from 1) whose return is at least idle + {tables.CLOSED} of the gap "
         "from the idle policy (a = 0) to the oracle; its median over runs, where never counts as infinitely late.",
         "Corrections": "All corrections of a run; their mean over runs.",
-        "Intervals": f"95% percentile intervals of a bootstrap over seeds ({RESAMPLES:,} resamples, stratified by task "
-        "as in rliable), with a fixed random seed: the same store gives the same interval.",
+        "Intervals": "Of means: 95% intervals of a studentised bootstrap over seeds "
+        f"({RESAMPLES:,} resamples with a fixed random seed: the same store gives the same interval), never narrower "
+        "than Student's t. Runs that are all equal have an interval of no width: it cannot know of an outcome that no "
+        "run had. Of medians of episodes: percentiles of the same resamples.",
         "Differences": "Area of the first algorithm minus that of the second on the same seed; mean over the seeds "
         "that both have. There is no correction for the number of comparisons.",
     }
     if summary.study.varying:
         methods["Best and tied"] = (
-            "Best is the point with the highest final return for an algorithm, oracle and error rate. Tied with it are "
-            "the points for which the interval of the paired difference in final return, best minus point, is not "
-            "above zero. The best of many points looks better than it is: confirm it with other seeds."
+            "Best is the point with the highest mean final return for an algorithm, oracle and error rate. Tied with "
+            "it are the points for which the interval of the paired difference in final return, best minus point, is "
+            "not above zero. The best of many points looks better than it is: confirm it with other seeds."
         )
         for name in summary.study.varying:
             methods[words.plain_symbol(name)] = words.meaning(name)
@@ -251,13 +266,20 @@ tr.end td { border-bottom: 1px solid var(--line); padding-bottom: .4rem; }
 tr.end + tr td { padding-top: .4rem; }
 tbody tr:last-child td { border-bottom: 1.5px solid var(--ink); }
 figure { margin: 2.2rem 0; }
-figure img { display: block; max-width: 100%; height: auto; margin: 0 auto; }
+.drawing { overflow-x: auto; }
+.drawing img { display: block; height: auto; margin: 0 auto; }
 figcaption { color: var(--soft); font-size: .875rem; margin-top: .7rem; max-width: 46rem; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .25rem 1.4rem; margin: 0; font-size: .9rem; }
 dt { color: var(--soft); }
 dd { margin: 0; max-width: 40rem; overflow-wrap: anywhere; }
 details { margin: 1.5rem 0; }
 summary { cursor: pointer; color: var(--accent); }
-@media (max-width: 40rem) { dl { grid-template-columns: 1fr; } dd { margin-bottom: .5rem; } }
-@media print { main { max-width: none; padding: 0; } figure, table { break-inside: avoid; } }
+@media (min-width: 64rem) { .drawing { width: max-content; max-width: min(100vw - 4rem, 78rem); position: relative;
+  left: 50%; transform: translateX(-50%); } }
+@media (max-width: 40rem) { main { padding: 1.5rem 1rem 3rem; } h1 { font-size: 1.5rem; }
+  h1, .lead, .warning { overflow-wrap: anywhere; } th, td { padding-left: .5rem; padding-right: .5rem; }
+  .scroll caption { position: sticky; left: 0; max-width: calc(100vw - 2rem); white-space: normal; }
+  dl { grid-template-columns: minmax(0, 1fr); } dd { margin-bottom: .5rem; } }
+@media print { main { max-width: none; padding: 0; } figure, table { break-inside: avoid; }
+  .drawing, .scroll { overflow: visible; } .drawing img { max-width: 100%; } }
 """

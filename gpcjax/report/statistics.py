@@ -1,8 +1,43 @@
-"""Estimates with bootstrap intervals over seeds: numpy arrays in, numbers out.
+"""Estimates with 95% intervals over seeds: numpy arrays in, numbers out.
 
-Scores are matrices (runs, tasks). Intervals are 95% percentile intervals of a stratified bootstrap as in rliable
-(Agarwal et al. 2021): each task's runs are drawn again with replacement, for itself. The draws are counts of how
-often each run was taken; they depend on the shape and a fixed seed alone, so the same store gives the same table.
+The statistic is the mean over runs, everywhere. Its interval is a studentised bootstrap (bootstrap-t): how far the mean
+of a resample lies from that of the runs, in units of its own standard error, says how far the mean of the runs may lie
+from the truth. Returns are skewed and often of two kinds (the pole stood, or it fell at once), and runs are few, so
+that the percentiles of the resampled means alone, as rliable takes them, are too narrow. Two guards make it safe:
+
+- the variance of a resample is shrunk towards that of the runs as if one run more had had it: resamples of equal runs
+  would have none, and their t would be infinite;
+- neither side is narrower than Student's t.
+
+Percent of 4,000 samples whose interval contains the true mean (`python -m tests.report.coverage`), with the mean width
+in brackets, in that of 1.96 standard errors to either side:
+
+| returns | runs | all equal | percentile | BCa | Student's t | bootstrap-t | this one |
+|---|---|---|---|---|---|---|---|
+| normal | 5 | 0% | 84.1 (0.88) | 83.9 (0.91) | 95.1 (1.42) | 95.2 (2.28) | 95.6 (1.50) |
+| | 10 | 0% | 90.5 (0.94) | 89.9 (0.95) | 95.1 (1.15) | 94.6 (1.23) | 95.7 (1.23) |
+| | 20 | 0% | 93.5 (0.97) | 93.1 (0.97) | 95.7 (1.07) | 95.7 (1.08) | 96.2 (1.11) |
+| | 100 | 0% | 94.8 (0.99) | 94.7 (0.99) | 95.2 (1.01) | 95.1 (1.01) | 95.4 (1.02) |
+| exponential | 5 | 0% | 78.9 (0.87) | 80.0 (0.93) | 88.3 (1.42) | 93.5 (3.12) | 89.8 (1.52) |
+| | 10 | 0% | 84.5 (0.93) | 86.2 (0.99) | 88.8 (1.15) | 93.4 (1.53) | 92.9 (1.38) |
+| | 20 | 0% | 90.0 (0.96) | 91.5 (1.02) | 91.8 (1.07) | 94.2 (1.23) | 94.9 (1.27) |
+| | 100 | 0% | 93.4 (0.99) | 93.1 (1.01) | 93.7 (1.01) | 93.8 (1.04) | 95.2 (1.10) |
+| 0 or 2500, half each | 5 | 6% | 94.0 (0.81) | 80.9 (0.79) | 94.0 (1.42) | 94.0 (over 10) | 94.0 (1.63) |
+| | 10 | 0% | 97.1 (0.94) | 94.8 (0.93) | 97.5 (1.15) | 99.7 (over 10) | 97.5 (1.51) |
+| | 20 | 0% | 95.7 (0.91) | 96.5 (0.95) | 95.7 (1.07) | 97.0 (over 10) | 97.0 (1.11) |
+| | 100 | 0% | 95.3 (1.00) | 95.8 (0.99) | 93.8 (1.01) | 94.7 (1.02) | 94.7 (1.04) |
+| 2500 in 1 of 10 (or in 9) | 5 | 58% | 40.9 (0.78) | 39.6 (0.78) | 41.6 (1.42) | 41.7 (over 10) | 41.6 (1.48) |
+| | 10 | 34% | 66.1 (0.84) | 65.8 (0.98) | 66.1 (1.15) | 66.1 (over 10) | 66.1 (1.62) |
+| | 20 | 12% | 87.7 (0.89) | 87.4 (1.03) | 87.7 (1.07) | 86.8 (over 10) | 87.7 (2.03) |
+| | 100 | 0% | 95.3 (0.99) | 96.2 (1.04) | 92.2 (1.01) | 95.6 (over 10) | 96.6 (1.22) |
+
+Runs that are all equal have an interval of no width, as they hold no sign of what else may happen: no interval made of
+runs alone covers more than the samples that are not all equal, and of those the last three rows cover all. With fewer
+than twenty skewed runs it is still too narrow: 93% at ten, 90% at five.
+
+The draws are counts of how often each run was taken; they depend on the number of runs and a fixed seed alone, so that
+the same store gives the same table. Medians, of times until something happens and of learning rates, keep percentile
+and order-statistic intervals.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +47,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import binom
+from scipy.stats import t as student
 
 RESAMPLES = 5000
 LEVEL = 0.95
@@ -45,39 +81,13 @@ class Scores(NamedTuple):
     values: Float[np.ndarray, "runs"]
 
 
-def interquartile_mean(scores: Float[np.ndarray, "runs tasks"]) -> float:
-    """Mean of the middle half of all scores: a quarter of their number, rounded down, is cut from each end."""
-    if not scores.size:
-        return np.nan
-    ordered, cut = np.sort(scores, axis=None), scores.size // 4
-    return float(ordered[cut : scores.size - cut].mean())
-
-
-def interquartile_interval(scores: Float[np.ndarray, "runs tasks"]) -> Interval:
-    """Interquartile mean of `scores`.
-
-    A resample is never sorted: in the order of the original scores, the cumulative counts say which of its
-    entries lie in the middle half.
-    """
-    if len(scores) < 2:
-        return Interval(interquartile_mean(scores), np.nan, np.nan)
-    order, cut = np.argsort(scores, axis=None, kind="stable"), scores.size // 4
-    ordered = scores.reshape(-1)[order]
-
-    def resampled(counts: np.ndarray) -> np.ndarray:
-        taken = counts.reshape(len(counts), -1)[:, order].cumsum(axis=1)
-        middle = np.diff(taken.clip(cut, scores.size - cut), axis=1, prepend=cut)
-        return middle @ ordered / (scores.size - 2 * cut)
-
-    return Interval(interquartile_mean(scores), *_bounds(_bootstrap(scores.shape, resampled)))
-
-
 def mean_interval(scores: Float[np.ndarray, "runs tasks"]) -> Interval:
-    """Mean of `scores`."""
-    if len(scores) < 2:
-        return Interval(float(scores.mean()) if scores.size else np.nan, np.nan, np.nan)
-    resampled = _bootstrap(scores.shape, lambda counts: np.einsum("brt,rt->b", counts, scores) / scores.size)
-    return Interval(float(scores.mean()), *_bounds(resampled))
+    """Mean of `scores`; the runs of each task are resampled for themselves. No bounds where a score is not finite."""
+    estimate = float(scores.mean()) if scores.size else np.nan
+    if len(scores) < 2 or not np.isfinite(scores).all():
+        return Interval(estimate, np.nan, np.nan)
+    lower, upper = _studentised(scores[:, :, None])
+    return Interval(estimate, float(lower[0]), float(upper[0]))
 
 
 def median_interval(times: Float[np.ndarray, "runs"]) -> Interval:
@@ -101,14 +111,14 @@ def median_interval(times: Float[np.ndarray, "runs"]) -> Interval:
 def mean_band(curves: Float[np.ndarray, "runs points"]) -> Band:
     """Mean over runs at each point, with its interval; nan is where a run has no value and counts nowhere."""
     present = ~np.isnan(curves)
-    filled, weight = np.where(present, curves, 0.0), present.astype(np.float64)
-    mean = _ratio(filled.sum(axis=0), weight.sum(axis=0))
+    count = present.sum(axis=0)
+    mean = _ratio(np.where(present, curves, 0.0).sum(axis=0), count)
     lower, upper = np.full_like(mean, np.nan), np.full_like(mean, np.nan)
-    if len(curves) > 1:
-        resampled = _bootstrap((len(curves), 1), lambda c: _ratio(c[:, :, 0] @ filled, c[:, :, 0] @ weight))
-        known = present.any(axis=0)
-        # A resample that took none of the runs with a value at a point says nothing about that point.
-        lower[known], upper[known] = np.nanquantile(resampled[:, known], _TAILS, axis=0)
+    known = np.take_along_axis(curves, np.argsort(~present, axis=0, kind="stable"), axis=0)  # nan comes last
+    for runs in np.unique(count[count > 1]):
+        points = np.flatnonzero(count == runs)
+        for block in np.array_split(points, -(-len(points) // _MOST_POINTS)):
+            lower[block], upper[block] = _studentised(known[:runs, None, block])
     return Band(mean, lower, upper)
 
 
@@ -155,22 +165,18 @@ def walking_mean(
 
 
 def best_and_tied(points: Sequence[Scores]) -> tuple[int | None, Bool[np.ndarray, "points"]]:
-    """The point of a grid with the highest interquartile mean (then mean), and which points are tied with it.
+    """The point of a grid with the highest mean (of equal ones the first), and which points are tied with it.
 
     Tied are the best point and those whose paired difference to it is not significant: best minus point, over
     the seeds that both have, is not wholly above zero. There is no correction for the number of points. A point
     without a run is neither, and without any run nothing is best.
     """
     tied = np.zeros(len(points), dtype=bool)
-    ranks = {
-        index: (interquartile_mean(point.values[:, None]), float(point.values.mean()))
-        for index, point in enumerate(points)
-        if point.values.size
-    }
-    if not ranks:
+    means = {index: float(point.values.mean()) for index, point in enumerate(points) if point.values.size}
+    if not means:
         return None, tied
-    best = max(ranks, key=lambda index: ranks[index])
-    for index in ranks:
+    best = max(means, key=lambda index: means[index])
+    for index in means:
         tied[index] = index == best or not paired_difference(points[best], points[index])[0].lower > 0
     return best, tied
 
@@ -180,6 +186,41 @@ _TAILS = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
 
 _LARGEST_BLOCK = 2_000_000
 """Counts that are held at once."""
+
+_MOST_POINTS = 400
+"""Of curves whose resampled means are held at once."""
+
+
+def _studentised(
+    scores: Float[np.ndarray, "runs tasks points"],
+) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """Bounds of the mean over runs and tasks, at each point for itself."""
+    runs, tasks, points = scores.shape
+    mean = scores.mean(axis=0)
+    centred = scores - mean
+    scale = np.abs(centred).max(axis=(0, 1))  # squares neither overflow nor vanish
+    differ = (
+        np.ptp(scores, axis=0).max(axis=0) > 0
+    )  # a mean of equal numbers may differ from them by rounding
+    centred = centred[:, :, differ] / scale[differ]
+    variance = (centred**2).mean(axis=0).sum(axis=0)  # of the sum over tasks, times the number of runs
+
+    def resampled(counts: np.ndarray) -> np.ndarray:
+        moved, varied = np.zeros((2, len(counts), centred.shape[2]))
+        for task in range(tasks):
+            taken = counts[:, :, task] / runs
+            shift = taken @ centred[:, task]
+            moved += shift
+            varied += taken @ centred[:, task] ** 2 - shift**2
+        shrunk = (runs * varied.clip(0) + variance) / (runs + 1)
+        return moved / np.sqrt(shrunk)
+
+    least = student.ppf(_TAILS[1], runs - 1) / np.sqrt(runs - 1)
+    low, high = np.quantile(_bootstrap((runs, tasks), resampled), _TAILS, axis=0)
+    width = np.zeros((2, points))
+    width[:, differ] = np.maximum([high, -low], least) * np.sqrt(variance) * scale[differ] / tasks
+    centre = mean.mean(axis=0)
+    return centre - width[0], centre + width[1]
 
 
 def _bootstrap(shape: tuple[int, ...], statistic: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -196,8 +237,9 @@ def _bootstrap(shape: tuple[int, ...], statistic: Callable[[np.ndarray], np.ndar
 def _counts(runs: int, tasks: int, start: int, block: int) -> Float[np.ndarray, "block runs tasks"]:
     """How often each run is taken in resamples `start` to `start + block`: `runs` draws for each task."""
     generator = np.random.default_rng([BOOTSTRAP_SEED, start])
-    drawn = generator.multinomial(runs, np.full(runs, 1 / runs), size=(block, tasks))
-    counts = np.ascontiguousarray(drawn.swapaxes(1, 2), dtype=np.float64)
+    drawn = generator.integers(runs, size=(block * tasks, runs)) + runs * np.arange(block * tasks)[:, None]
+    counts = np.bincount(drawn.reshape(-1), minlength=runs * block * tasks).reshape(block, tasks, runs)
+    counts = np.ascontiguousarray(counts.swapaxes(1, 2), dtype=np.float64)
     counts.setflags(write=False)
     return counts
 

@@ -1,12 +1,14 @@
-"""The look of every figure: sizes, colours, panels in rows, and how a figure becomes bytes. No global state."""
+"""The look of every figure: sizes, colours, panels in rows, and how a figure becomes bytes."""
 
 import io
 import string
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -54,10 +56,31 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
+_BACKENDS = {"png": "agg", "pdf": "pdf", "svg": "svg"}
+"""Named, as a program may have registered another one for these formats."""
+
+_SETTING = threading.RLock()
+
+
+class Drawing(NamedTuple):
+    """A figure, what it shows in a few words, and the caption that says what was drawn."""
+
+    figure: Figure
+    alternative: str
+    caption: str
+
+
 @contextmanager
 def publication() -> Iterator[None]:
-    """Figures made or saved inside look like ours; nothing stays set."""
-    with matplotlib.rc_context(_SETTINGS):
+    """Figures made or saved inside look like ours, whatever the user's settings are; nothing stays set.
+
+    It starts from matplotlib's own defaults, not from a matplotlibrc, a style or a notebook's. matplotlib's settings
+    belong to the process: our threads take turns here, as two contexts that overlap would restore each other's, and a
+    thread of the user's that makes a figure in this moment makes it with ours.
+    """
+    with _SETTING, matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_SETTINGS)
         yield
 
 
@@ -104,15 +127,53 @@ def count_ticks(axis: Axes, last: int) -> None:
     axis.set_xticks([1, *(int(number) for number in round_numbers if 1 < number <= last)])
 
 
+MOST_OF_A_BAND = 0.25
+"""How far an axis goes beyond its lines to show their bands whole, in parts of the range of the lines."""
+
+
+def follow_lines(axes: Sequence[Axes], also: Sequence[float] = (), bottom: float | None = None) -> bool:
+    """Gives all of them the same range of y: that of their lines and what is `also` drawn.
+
+    Bands are shown as far as they go no further beyond that than `MOST_OF_A_BAND`: one wide interval would press all
+    lines onto the axis.
+
+    Args:
+        axes: lines and bands are drawn.
+        also: other values that have to be inside.
+        bottom: the lower end, if it is given.
+
+    Returns:
+        Whether a band is cut.
+    """
+    drawn = [np.asarray(line.get_ydata(), np.float64) for axis in axes for line in axis.lines]
+    values = np.concatenate([*drawn, np.asarray(also, np.float64)])
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return False
+    low, high = values.min(), values.max()
+    reach = MOST_OF_A_BAND * (high - low)
+    paths = [path.vertices for axis in axes for band in axis.collections for path in band.get_paths()]
+    band = np.concatenate([np.asarray(path)[:, 1] for path in paths] or [values])
+    shown_low, shown_high = np.clip([band.min(), band.max()], low - reach, high + reach)
+    low, high = min(low, shown_low), max(high, shown_high)
+    margin = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    for axis in axes:
+        axis.set_ylim(low - margin if bottom is None else bottom, high + margin)
+    return bool(band.max() > high or band.min() < (low if bottom is None else min(low, bottom)))
+
+
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One legend above the panels, where it covers no data; in two rows or more where one is too long."""
+    """One legend above the panels, where it covers no data; in two rows or more where one is too long.
+
+    To the left: a phone shows the beginning of a wide figure.
+    """
     inches = sum(0.47 + 0.058 * len(str(handle.get_label())) for handle in handles)
     rows = -(-inches // figure.get_figwidth())
     columns = int(-(-len(handles) // max(rows, 1)))
     if handles:
         figure.legend(
             handles=list(handles),
-            loc="outside upper center",
+            loc="outside upper left",
             ncols=columns,
             handlelength=1.8,
             columnspacing=1.6,
@@ -124,7 +185,7 @@ def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind, {})
     stream = io.BytesIO()
     with publication():
-        figure.savefig(stream, format=kind, dpi=dpi, metadata=undated)
+        figure.savefig(stream, format=kind, backend=_BACKENDS[kind], dpi=dpi, metadata=undated)
     return stream.getvalue()
 
 

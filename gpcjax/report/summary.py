@@ -13,7 +13,6 @@ from gpcjax.report.groups import Group, Point, Study, unique
 from gpcjax.report.statistics import (
     Interval,
     best_and_tied,
-    interquartile_interval,
     mean_interval,
     median_interval,
     paired_difference,
@@ -26,7 +25,7 @@ class Row:
 
     group: Group
     final: Interval
-    """Interquartile mean of the final return."""
+    """Mean of the final return."""
     area: Interval
     """Mean area under the learning curve."""
     closed: Interval
@@ -74,6 +73,11 @@ class Summary:
         return sum(len(group.stopped) for group in self.study.groups)
 
     @property
+    def uncounted(self) -> int:
+        """Those of them that are in no number, as the store does not say what the idle policy returns."""
+        return sum(len(group.uncounted) for group in self.study.groups)
+
+    @property
     def unfinished(self) -> int:
         """Runs whose episodes are not all there yet."""
         return sum(len(group.unfinished) for group in self.study.groups)
@@ -106,7 +110,7 @@ class Summary:
 
 def summarise(study: Study) -> Summary:
     """All numbers of `study`."""
-    found = sum(group.runs + len(group.stopped) + len(group.unfinished) for group in study.groups)
+    found = sum(group.runs + len(group.uncounted) + len(group.unfinished) for group in study.groups)
     return Summary(
         study=study,
         rows=tuple(
@@ -139,7 +143,7 @@ def _rows(study: Study, groups: Sequence[Group], best: int | None, tied: np.ndar
         rows.append(
             Row(
                 group=group,
-                final=interquartile_interval(group.final.values[:, None]),
+                final=mean_interval(group.final.values[:, None]),
                 area=mean_interval(group.area.values[:, None]),
                 closed=median_interval(closed),
                 never=int(np.isinf(closed).sum()),

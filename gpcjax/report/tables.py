@@ -39,7 +39,10 @@ class Sheet:
 
 
 def render(summary: Summary) -> RenderableType:
-    """What a sweep prints at its end: warnings, results by oracle, paired differences, and how to read them."""
+    """What a sweep prints at its end: warnings, results by oracle, paired differences, and how to read them.
+
+    It prints on a stream of any encoding, in the signs that this has.
+    """
     differences = difference_sheets(summary) if len(summary.differences) <= MOST_ROWS else []
     notes = reading(summary) + (reading_differences() if differences else [])
     if len(summary.differences) > MOST_ROWS:
@@ -48,10 +51,10 @@ def render(summary: Summary) -> RenderableType:
         )
     sheets = result_sheets(summary) + point_sheets(summary) + differences
     return Lines(
-        *(Text(line, style="bold red") for line in warnings(summary)),
+        *(_Line(line, "bold red") for line in warnings(summary)),
         *(part for sheet in sheets for part in (Text(), _Fitted(sheet))),
         Text(),
-        *(Text(note, style="dim") for note in notes),
+        *(_Line(note, "dim") for note in notes),
     )
 
 
@@ -114,14 +117,19 @@ def difference_sheets(summary: Summary) -> list[Sheet]:
 
 
 def warnings(summary: Summary) -> list[str]:
-    """Runs that are not in the numbers, and why: a sentence each."""
+    """Runs that stopped or are not in the numbers, and why: a sentence each."""
     study, lines = summary.study, []
     if summary.stopped:
         reasons = Counter(stop.status for group in study.groups for stop in group.stopped)
         causes = ", ".join(f"{words.STATUS_TEXTS.get(status, status)}: {n}" for status, n in reasons.items())
-        lines.append(
-            f"{_runs(summary.stopped)} stopped ({causes}) and {_are(summary.stopped)} in no number below."
-        )
+        if summary.uncounted:
+            fate = f"{_are(summary.uncounted)} in no number below: the store lacks the idle policy's return."
+        else:
+            fate = (
+                "count as a robot that does nothing: from the episode in which one stopped on, it has the mean "
+                f"return of the idle policy ({words.number(study.idle.mean, words.places([study.idle.mean]))})."
+            )
+        lines.append(f"{_runs(summary.stopped)} stopped ({causes}) and {fate}")
         lines += [f"  {line}" for line in stopped_lines(study)]
     full = sum(group.limits.met_full for group in study.groups)
     if full:
@@ -157,15 +165,15 @@ def stopped_lines(study: Study, most: int = 8) -> list[str]:
 def reading(summary: Summary) -> list[str]:
     """How to read the results."""
     lines = [
-        f"Final return: mean of a run's last {FINAL_EPISODES} episodes, interquartile mean over runs. "
-        "Area: mean return of an episode, mean over runs. In brackets: 95% bootstrap interval over seeds.",
+        f"Final return: mean of a run's last {FINAL_EPISODES} episodes. Area: mean return of an episode. Of both the "
+        "mean over runs; in brackets its 95% interval (studentised bootstrap over seeds).",
         f"To {CLOSED}: median first episode whose return closes {CLOSED} of the gap between idle (a = 0) and oracle; "
         "never: runs without one. Corr.: corrections used, mean over runs. Oracle, idle: mean ± standard deviation.",
     ]
     if summary.study.varying:
         lines.append(
-            "Of a grid each algorithm shows its point with the highest final return; tied: points not significantly "
-            "worse on the same seeds, that one included. All points are in summary.csv."
+            "Of a grid each algorithm shows its point with the highest mean final return; tied: points not "
+            "significantly worse on the same seeds, that one included. All points are in summary.csv."
         )
     clipped = [
         group.limits.clipped / group.limits.steps for group in summary.study.groups if group.limits.clipped
@@ -179,7 +187,9 @@ def reading(summary: Summary) -> list[str]:
     if runs == 1:
         lines.append("One run has no interval: give more seeds.")
     elif 1 < runs < 10:
-        lines.append("A bootstrap over fewer than ten runs gives too narrow an interval: give more seeds.")
+        lines.append(
+            "Fewer than ten runs say little of rare outcomes, and so do their intervals: give more seeds."
+        )
     return lines
 
 
@@ -220,6 +230,7 @@ def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> She
     corrections = words.places([row.corrections.estimate for row in shown])
     columns = ("error", "algo", *(map(words.plain_symbol, varying)), *(("tied",) if grid else ()))
     columns += ("final return", "area", f"to {CLOSED}", "never", "corr.", "runs")
+    columns += ("stopped",) if any(group.stopped for group in study.groups) else ()
     rows = [
         (
             *_head(row.group, varying),
@@ -230,6 +241,7 @@ def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> She
             words.ABSENT if math.isnan(row.closed.estimate) else str(row.never),
             words.number(row.corrections.estimate, corrections),
             str(row.group.runs),
+            *((str(len(row.group.stopped)),) if columns[-1] == "stopped" else ()),
         )
         for row in shown
     ]
@@ -251,15 +263,39 @@ def _difference(difference: Difference, study: Study, decimals: int) -> tuple[st
 
 
 @dataclass(frozen=True)
+class _Line:
+    """A sentence."""
+
+    text: str
+    style: str
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(words.printable(self.text, options.encoding), style=self.style)
+
+
+@dataclass(frozen=True)
 class _Fitted:
     """A sheet with two spaces between its columns, or one where the terminal is narrow."""
 
     sheet: Sheet
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        wide = _table(self.sheet, gap=2)
+        sheet = _printable(self.sheet, options.encoding)
+        wide = _table(sheet, gap=2)
         needed = Measurement.get(console, options.update(max_width=1000), wide).maximum
-        yield wide if needed <= options.max_width else _table(self.sheet, gap=1)
+        yield wide if needed <= options.max_width else _table(sheet, gap=1)
+
+
+def _printable(sheet: Sheet, encoding: str) -> Sheet:
+    def each(texts: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(words.printable(text, encoding) for text in texts)
+
+    return Sheet(
+        words.printable(sheet.title, encoding),
+        each(sheet.columns),
+        tuple(map(each, sheet.rows)),
+        sheet.breaks,
+    )
 
 
 def _table(sheet: Sheet, gap: int) -> Table:

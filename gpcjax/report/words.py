@@ -11,6 +11,8 @@ from gpcjax.report.statistics import Interval
 ALGORITHM_LABELS = {"gpc": "GPC", "gpc-ns": "GPC-NS", "coach": "COACH"}
 ABSENT = "-"
 UNITS = {"cartpole": "steps upright", "pendulum": "negative cost"}
+ACTIONS = {"lunarlander": ("main engine", "side engines")}
+"""What the dimensions of an action move, where there are several."""
 STATUS_TEXTS = {"full": "dictionary full", "non-finite": "a number was not finite"}
 
 _SYMBOLS = {name: row.symbol for name, row in HYPERPARAMETERS.items()} | {"delta": "delta", "rate": "gamma"}
@@ -61,6 +63,37 @@ def value(setting: float | None) -> str:
     return ABSENT if setting is None else f"{setting:g}"
 
 
+def action(env: str, dimension: int) -> str:
+    """What an action dimension (from 0) moves."""
+    names = ACTIONS.get(env, ())
+    return names[dimension] if dimension < len(names) else f"action {dimension + 1}"
+
+
+def runs(study: Study) -> str:
+    """How many runs there are of each algorithm: `100 runs`, or `100 runs of GPC and COACH, 20 of GPC-NS`."""
+    counts: dict[str, list[str]] = {}
+    for algo in study.algorithms:
+        numbers = sorted({group.runs for group in study.groups if group.algo == algo and group.runs})
+        if numbers:
+            shown = f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
+            counts.setdefault(shown, []).append(algorithm(algo))
+    if not counts:
+        return "no run"
+    (first, of), *others = counts.items()
+    whole = f"{first} run{'' if first == '1' else 's'}"
+    return (
+        ", ".join([f"{whole} of {listed(of)}", *(f"{n} of {listed(o)}" for n, o in others)])
+        if others
+        else whole
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 def return_label(study: Study) -> str:
     """What the return counts, with its unit where it has one."""
     return f"return ({UNITS[study.env]})" if study.env in UNITS else "return"
@@ -87,6 +120,21 @@ def interval(interval: Interval, decimals: int) -> str:
     """`12.3 [11.9, 12.8]`; without bounds (one run) only the estimate."""
     estimate, lower, upper = (number(value, decimals) for value in interval)
     return estimate if ABSENT in (lower, upper) else f"{estimate} [{lower}, {upper}]"
+
+
+_PLAIN = str.maketrans({"±": "+/-", "\N{MINUS SIGN}": "-", "·": "-", "…": "...", "\N{EN DASH}": "-"})
+
+
+def printable(text: str, encoding: str | None) -> str:
+    """`text` as a stream of this encoding can take it: in ASCII's way of writing, or escaped where there is none."""
+    encoding = encoding or "ascii"
+    for candidate in (text, text.translate(_PLAIN)):
+        try:
+            candidate.encode(encoding)
+            return candidate
+        except UnicodeEncodeError:
+            continue
+    return text.translate(_PLAIN).encode(encoding, "backslashreplace").decode(encoding)
 
 
 def plus_minus(mean: float, std: float, decimals: int) -> str:

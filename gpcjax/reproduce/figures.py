@@ -24,7 +24,7 @@ ERROR_COLOURS = ("#0072B2", "#E69F00", "#D55E00")
 
 def returns(experiment: Experiment) -> Figure:
     """Figs. 5.1, 5.4 and 5.5: return against episode at each error rate, with the oracle's band."""
-    return learning_curves(experiment.summary)
+    return learning_curves(experiment.summary).figure
 
 
 def rates(experiment: Experiment) -> Figure:

@@ -1,3 +1,4 @@
+import os
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
+from gpcjax.report import curves
 from gpcjax.report.run import draw, draw_frames
 from tests.report import synthetic
 
@@ -70,7 +72,7 @@ def test_report_stands_alone_and_says_what_was_run(out):
         "non-finite"
     )
     manifest = synthetic.manifest(frame, machine={"processor": "<b>fast & small</b>"})
-    draw_frames(out, frame, synthetic.corrections(seeds=3), manifest)
+    summary = draw_frames(out, frame, synthetic.corrections(seeds=3), manifest)
     reader, text = read_page(out)
     assert len(reader.sources) == 2 and all(
         source.startswith("data:image/svg+xml;base64,") for source in reader.sources
@@ -78,7 +80,9 @@ def test_report_stands_alone_and_says_what_was_run(out):
     assert not {"script", "link", "iframe", "b"} & set(reader.tags)
     assert not re.search(r"https?://|@import|url\(", (out / "report.html").read_text())
     assert "<b>fast & small</b>" in text  # as text, not as tags
-    assert "3 runs stopped (a number was not finite: 3)" in text
+    assert "3 runs stopped (a number was not finite: 3) and count as a robot that does nothing" in text
+    assert all(drawing.caption in text for drawing in (curves.learning_curves(summary),))
+    assert "interquartile" not in text
     for fact in ("0123456789ab", "493,000", "0.10.0", "oracle gpc", "GPC-NS - COACH"):
         assert fact in text
 
@@ -121,3 +125,44 @@ def test_a_report_needs_neither_jax_nor_pyplot():
     root = Path(gpcjax.__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     assert done.stdout == "set()\n"
+
+
+HOSTILE_FILE = "text.usetex: True\nfont.size: big\nfont.family: Papyrus\nnonsense: 3\nbackend: none\n"
+
+
+def test_a_report_is_drawn_whatever_the_environment_says(out, tmp_path_factory):
+    """A notebook's MPLBACKEND without its module, TeX without TeX, and a terminal that knows ASCII only."""
+    frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=2, length=4)
+    rows = synthetic.corrections(algos=("gpc",), errors=(0.0,), seeds=2)
+    draw_frames(out, frame, rows, synthetic.manifest(frame))
+    plain = (out / "curves.png").read_bytes()
+    settings = tmp_path_factory.mktemp("settings")
+    (settings / "matplotlibrc").write_text(HOSTILE_FILE)
+    frame.to_parquet(settings / "frame.parquet")
+    rows.to_parquet(settings / "rows.parquet")
+    code = (
+        "import sys, pathlib, pandas as pd\n"
+        "from rich.console import Console\n"
+        "from gpcjax.report.run import draw_frames\n"
+        "from gpcjax.report.tables import render\n"
+        "from tests.report import synthetic\n"
+        "given, out = map(pathlib.Path, sys.argv[1:])\n"
+        "frame, rows = (pd.read_parquet(given / f'{name}.parquet') for name in ('frame', 'rows'))\n"
+        "Console(width=90).print(render(draw_frames(out, frame, rows, synthetic.manifest(frame))))\n"
+    )
+    hostile = {
+        "MPLBACKEND": "module://no_such_module.backend",
+        "MATPLOTLIBRC": str(settings),
+        "PYTHONIOENCODING": "ascii",
+        "LC_ALL": "tr_TR.UTF-8",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(settings), str(out)],
+        capture_output=True,
+        text=True,
+        cwd=Path(gpcjax.__file__).parents[1],
+        env={**os.environ, **hostile},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "2500 +/- 0" in done.stdout
+    assert (out / "curves.png").read_bytes() == plain

@@ -1,7 +1,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import trim_mean
 
 from gpcjax.errors import UserError
 from gpcjax.report.groups import gather
@@ -22,9 +21,7 @@ def test_row_says_what_pandas_says(cartpole):
     frame = frame[(frame["algo"] == "coach") & (frame["error"] == 0.1)].sort_values("episode")
     row = cartpole.table().set_index(["algo", "error"]).loc[("coach", 0.1)]
     assert row["runs"] == 12
-    assert row["final_return"] == pytest.approx(
-        trim_mean(per_run(frame, "return", lambda r: r.tail(5).mean()), 0.25)
-    )
+    assert row["final_return"] == pytest.approx(per_run(frame, "return", lambda r: r.tail(5).mean()).mean())
     assert row["area"] == pytest.approx(per_run(frame, "return", "mean").mean())
     assert row["corrections"] == pytest.approx(per_run(frame, "corrections", "sum").mean())
     threshold = 40 + 0.9 * (2500 - 40)
@@ -72,12 +69,13 @@ def test_a_row_does_not_depend_on_the_others(cartpole):
     pd.testing.assert_frame_equal(alone, same)
 
 
-def test_stopped_and_unfinished_runs_are_counted_and_left_out():
+def test_stopped_runs_count_as_idle_from_their_stop_on_and_unfinished_ones_not_at_all():
     frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=8)
     planned = synthetic.manifest(frame)
     gpc, seed, episode = frame["algo"] == "gpc", frame["seed"], frame["episode"]
     frame.loc[gpc & (seed == 3) & (episode == 11), "status"] = "full"
     frame.loc[gpc & (seed == 4) & (episode == 30), "status"] = "non-finite"  # in its last episode
+    frame.loc[gpc & (seed == 4) & (episode == 30), "return"] = np.nan
     gone = (
         (seed == 3) & (episode > 11)
         | (seed == 5) & (episode > 20)
@@ -87,23 +85,68 @@ def test_stopped_and_unfinished_runs_are_counted_and_left_out():
     frame = frame[~(gpc & gone)]
     summary = summarise(gather(frame, planned))
     row = summary.table().iloc[0]
-    assert (row["runs"], row["stopped"], row["unfinished"]) == (3, 2, 2)
-    assert (summary.stopped, summary.unfinished, summary.missing) == (2, 2, 1)
-    stops = summary.rows[0].group.stopped
-    assert [(stop.seed, stop.episode, stop.status) for stop in stops] == [
+    assert (row["runs"], row["stopped"], row["unfinished"]) == (5, 2, 2)
+    assert (summary.stopped, summary.uncounted, summary.unfinished, summary.missing) == (2, 0, 2, 1)
+    group = summary.rows[0].group
+    assert [(stop.seed, stop.episode, stop.status) for stop in group.stopped] == [
         (3, 11, "full"),
         (4, 30, "non-finite"),
     ]
-    kept = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=3)
-    assert row["area"] == pytest.approx(kept["return"].mean())
-    assert summary.differences[0].pairs == 3
+    assert group.broke_down.tolist() == [False, False, False, True, True]
+    idle = planned["baselines"]["idle"]["mean"]
+    whole = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=5)
+    late = (whole["seed"] == 3) & (whole["episode"] >= 11) | (whole["seed"] == 4) & (whole["episode"] == 30)
+    whole.loc[late, "return"] = idle
+    assert row["area"] == pytest.approx(whole["return"].mean())
+    assert row["final_return"] == pytest.approx(whole[whole["episode"] > 25]["return"].mean())
+    after = (whole["seed"] == 3) & (whole["episode"] > 11)
+    assert row["corrections"] == pytest.approx(whole[~after]["corrections"].sum() / 5)
+    assert row["steps"] == 200 * (4 * 30 + 11)
+    difference = summary.differences[0]
+    coach = synthetic.episodes(algos=("coach",), errors=(0.0,), seeds=5)
+    assert difference.pairs == 5
+    assert difference.area.estimate == pytest.approx((whole["return"] - coach["return"]).mean())
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_return_that_is_not_finite_stops_a_run_whatever_its_status_says(value):
+    frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=3)
+    frame.loc[(frame["seed"] == 1) & (frame["episode"] == 7), "return"] = value
+    summary = summary_of(frame)
+    (group,) = summary.study.groups
+    assert [(stop.seed, stop.episode, stop.status) for stop in group.stopped] == [(1, 7, "non-finite")]
+    assert (group.returns[1, 6:] == 40).all() and (group.returns[1, :6] != 40).all()
+    assert np.isfinite(group.returns).all()
+
+
+def test_a_high_return_beside_a_status_that_is_not_ok_counts_as_idle():
+    """A row of 2500 with numbers that were not finite is no success."""
+    frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=2)
+    frame["return"] = 2500.0
+    frame.loc[(frame["seed"] == 0) & (frame["episode"] == 30), "status"] = "non-finite"
+    (group,) = summary_of(frame).study.groups
+    assert group.returns[0, -1] == 40 and group.final.values[0] == pytest.approx((4 * 2500 + 40) / 5)
 
 
 def test_all_runs_stopped():
     frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=2)
-    frame.loc[(frame["algo"] == "gpc") & (frame["episode"] == 30), "status"] = "full"
+    gpc = frame["algo"] == "gpc"
+    frame.loc[gpc & (frame["episode"] == 4), "status"] = "full"
+    frame = frame[~(gpc & (frame["episode"] > 4))]
     table = summary_of(frame).table()
-    assert table["runs"].tolist() == [0, 2]
+    assert table["runs"].tolist() == [2, 2]
+    assert table["final_return"][0] == 40
+    manifest = synthetic.manifest(frame)
+    alone = summarise(gather(frame[frame["algo"] == "gpc"], manifest))
+    assert alone.study.episodes == 30 and alone.table()["final_return"][0] == 40
+
+
+def test_without_the_idle_policys_return_stopped_runs_cannot_be_counted():
+    frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=2)
+    frame.loc[(frame["algo"] == "gpc") & (frame["episode"] == 30), "status"] = "full"
+    summary = summary_of(frame, baselines={})
+    table = summary.table()
+    assert table["runs"].tolist() == [0, 2] and summary.uncounted == 2 and summary.missing == 0
     assert np.isnan(table["final_return"][0]) and not table["best"][0]
 
 

@@ -45,17 +45,47 @@ def test_never_is_shown_as_such():
     assert cells["to 90%"] == "never" and int(cells["never"]) > 3
 
 
-def test_stopped_runs_stand_above_everything():
-    frame = synthetic.episodes(algos=("gpc",), seeds=12)
+def stopping(seeds=12):
+    frame = synthetic.episodes(algos=("gpc",), seeds=seeds)
     early = frame["seed"].isin(range(10)) & (frame["error"] == 0.2)
     frame.loc[early & (frame["episode"] == 7), "status"] = "full"
-    frame = frame[~(early & (frame["episode"] > 7))]
-    summary = summary_of(frame)
-    lines = printed(summary, 100).splitlines()
-    assert lines[0] == "10 runs stopped (dictionary full: 10) and are in no number below."
-    assert "GPC, 20% error: seed 0 (episode 7), 1 (episode 7)" in lines[1] and "and 2 more" in "".join(
-        lines[1:3]
+    return frame[~(early & (frame["episode"] > 7))]
+
+
+def test_stopped_runs_stand_above_everything_and_in_their_row():
+    summary = summary_of(stopping())
+    text = printed(summary, 200)
+    lines = text.splitlines()
+    assert lines[0] == (
+        "10 runs stopped (dictionary full: 10) and count as a robot that does nothing: from the episode in which one "
+        "stopped on, it has the mean return of the idle policy (40.0)."
     )
+    assert "GPC, 20% error: seed 0 (episode 7), 1 (episode 7)" in lines[1] and "and 2 more" in lines[1]
+    (sheet,) = tables.result_sheets(summary)
+    cells = [dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows]
+    assert [(row["runs"], row["stopped"]) for row in cells[:3]] == [("12", "0"), ("12", "0"), ("12", "10")]
+    assert max(map(len, printed(summary).splitlines())) <= 80 and "…" not in printed(summary)
+
+
+def test_stopped_runs_that_cannot_be_counted_are_said_to_be_left_out():
+    lines = tables.warnings(summary_of(stopping(), baselines={}))
+    assert lines[0] == (
+        "10 runs stopped (dictionary full: 10) and are in no number below: the store lacks the idle policy's return."
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "cp437", "utf-8"])
+def test_tables_print_on_a_stream_of_any_encoding(encoding):
+    frame = synthetic.episodes(env="pendulum", seeds=3, oracles=("gpc", "Übung №1"))
+    stream = io.BytesIO()
+    text = io.TextIOWrapper(stream, encoding=encoding)
+    Console(file=text, width=100).print(tables.render(summary_of(frame)))
+    text.flush()
+    shown = stream.getvalue().decode(encoding)
+    assert ("-150 +/- 95" if encoding == "ascii" else "-150 ± 95") in shown
+    assert "number" not in shown and "GPC-NS - COACH" in shown
+    assert ("Übung №1" in shown) == (encoding == "utf-8")
+    assert max(map(len, shown.splitlines())) <= 100
 
 
 def test_what_is_missing_is_said():
@@ -85,7 +115,7 @@ def test_clipped_actions_and_full_dictionaries_are_said():
 
 def test_few_seeds_are_said_to_be_few():
     assert "One run has no interval" in printed(summary_of(synthetic.episodes(seeds=1)), 100)
-    assert "fewer than ten runs" in printed(summary_of(synthetic.episodes(seeds=4)), 100)
+    assert "Fewer than ten runs" in printed(summary_of(synthetic.episodes(seeds=4)), 100)
 
 
 def test_grid_shows_best_points_and_refers_to_the_files(grid):
