@@ -9,9 +9,11 @@ import pytest
 
 import gpcjax
 from gpcjax.sweep import store as store_module
-from gpcjax.sweep.plan import plan, varying
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.runfolder import read_manifest
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import CellRows, Store, read_corrections, read_episodes
+from tests.sweep.folders import begun
 
 SPEC = spec_of(env="cartpole", algo=["gpc", "coach"], error=[0, 0.1], seeds=2, episodes=3, oracle="lqr")
 EPISODE_COLUMNS = {
@@ -65,8 +67,19 @@ def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
     return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log)
 
 
+def opened(out, spec=SPEC, say=None):
+    """The store of a folder, which is begun if nobody has."""
+    if not (out / "manifest.json").exists():
+        begun(out, spec)
+    return Store(out, read_manifest(out), say=say or refuse)
+
+
+def refuse(line):
+    raise AssertionError(f"nothing was to be said, but: {line}")
+
+
 def filled(out, spec=SPEC, cells=None):
-    store = Store(out, varying(spec))
+    store = opened(out, spec)
     store.append([rows(cell) for cell in (plan(spec) if cells is None else cells)])
     return store
 
@@ -125,11 +138,11 @@ class TestReading:
 
     def test_a_cell_that_stopped_has_fewer_episodes_and_says_why(self, tmp_path):
         cell = plan(SPEC)[0]
-        Store(tmp_path, []).append([rows(cell, episodes=2, status="full")])
+        opened(tmp_path).append([rows(cell, episodes=2, status="full")])
         assert read_episodes(tmp_path)["status"].tolist() == ["ok", "full"]
 
     def test_a_cell_without_corrections(self, tmp_path):
-        Store(tmp_path, []).append([rows(plan(SPEC)[0], corrections=0)])
+        opened(tmp_path).append([rows(plan(SPEC)[0], corrections=0)])
         assert (
             len(read_corrections(tmp_path)) == 0
             and kinds(read_corrections(tmp_path)).keys() == CORRECTION_COLUMNS.keys()
@@ -176,14 +189,14 @@ class TestReading:
 
 class TestGoingOn:
     def test_everything_is_missing_at_first(self, tmp_path):
-        assert Store(tmp_path, []).missing(plan(SPEC)) == plan(SPEC)
+        assert opened(tmp_path).missing(plan(SPEC)) == plan(SPEC)
 
     def test_what_is_stored_is_not_missing(self, tmp_path):
         cells = plan(SPEC)
         store = filled(tmp_path, cells=cells[:3])
         assert store.missing(cells) == cells[3:]
         store.append([rows(cell) for cell in cells[3:]])
-        assert Store(tmp_path, []).missing(cells) == []
+        assert opened(tmp_path).missing(cells) == []
 
     def test_cells_that_differ_in_a_varying_setting_are_told_apart(self, tmp_path):
         spec = spec_of(
@@ -191,45 +204,43 @@ class TestGoingOn:
         )
         cells = plan(spec)
         for some in (cells[::2], cells[1::2]):
-            missing = Store(tmp_path, varying(spec)).missing(cells)
+            missing = opened(tmp_path, spec).missing(cells)
             assert [cell for cell in cells if cell in some] == [cell for cell in missing if cell in some]
             filled(tmp_path, spec, some)
-        assert Store(tmp_path, varying(spec)).missing(cells) == []
+        assert opened(tmp_path, spec).missing(cells) == []
 
     def test_an_interrupted_part_is_removed(self, tmp_path):
         """Corrections without episodes, and files that never got their names."""
         cells = plan(SPEC)
-        store = filled(tmp_path, cells=cells[:2])
-        whole = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.parquet")}
-        for name in (
-            "corrections/part-00001-7.parquet",
-            "corrections/.x.tmp",
-            "episodes/.part-00001-7.parquet.0a.tmp",
-        ):
-            (tmp_path / name).write_bytes(b"half")
+        filled(tmp_path, cells=cells[:2])
+        before = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
+        store = filled(tmp_path, cells=cells[2:4])
+        part = max((tmp_path / "episodes").iterdir())
+        part.rename(part.with_name(f".{part.name}.0123456789ab.tmp"))
+        (tmp_path / ".manifest.json.0123456789ab.tmp").write_bytes(b"half")
         assert store.missing(cells) == cells[2:]
-        assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == whole
+        assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == before
 
     @pytest.mark.parametrize("call", [1, 2])
     def test_a_write_that_fails_leaves_no_half_part(self, tmp_path, monkeypatch, call):
         """Before or between the two files: the cells stay missing, and can be written later."""
         cells = plan(SPEC)
-        store, calls, write = filled(tmp_path, cells=cells[:2]), [], pq.write_table
+        store, calls, write = filled(tmp_path, cells=cells[:2]), [], store_module.write_atomic
 
-        def fail(table, path):
+        def fail(path, data):
             calls.append(path)
-            write(table, path)
             if len(calls) == call:
                 raise OSError("no space left")
+            write(path, data)
 
         with monkeypatch.context() as patch:
-            patch.setattr(store_module.pq, "write_table", fail)
+            patch.setattr(store_module, "write_atomic", fail)
             with pytest.raises(OSError, match="no space left"):
                 store.append([rows(cells[2])])
         assert len(read_episodes(tmp_path)) == 6
         assert store.missing(cells) == cells[2:]
         store.append([rows(cell) for cell in cells[2:]])
-        assert Store(tmp_path, []).missing(cells) == []
+        assert opened(tmp_path).missing(cells) == []
         assert len(read_episodes(tmp_path)) == 24 and len(read_corrections(tmp_path)) == 16
 
     def test_parts_are_never_written_over(self, tmp_path):
@@ -244,7 +255,7 @@ class TestGoingOn:
         assert episodes == corrections
 
     def test_nothing_to_write(self, tmp_path):
-        Store(tmp_path, []).append([])
+        opened(tmp_path).append([])
         assert not list(tmp_path.rglob("*.parquet"))
         assert read_episodes(tmp_path).empty
 
