@@ -146,18 +146,21 @@ def read_manifest(out: Path) -> dict[str, Any]:
         case _:
             raise DamagedManifest(path, "this is no manifest of a sweep")
     # In format 2 a manifest is checked by its sum too once this version has written to it.
-    if version == FORMAT or "sha256" in manifest:
-        if manifest.get("sha256") != _sum_of(manifest):
-            raise DamagedManifest(path, "it is not as it was written")
-    elif manifest["hash"] != hash_of(manifest["specification"]):
+    if (version == FORMAT or "sha256" in manifest) and manifest.get("sha256") != _sum_of(manifest):
+        raise DamagedManifest(path, "it is not as it was written")
+    if manifest["hash"] != hash_of(manifest["specification"]):
         raise DamagedManifest(path, "its hash is not that of its specification")
     for name, kind in _FIELDS.items():
         if not isinstance(manifest.get(name), kind):
-            raise DamagedManifest(path, f"it has no {name}" if name not in manifest else f"its {name} is damaged")
+            what = f"its {name} is damaged" if name in manifest else f"it has no {name}"
+            raise DamagedManifest(path, what)
+    if sorted(map(str, manifest["varying"])) != _varying(manifest["specification"]):
+        raise DamagedManifest(path, "its varying settings are not those of its specification")
+    baselines = manifest["baselines"]
     if not (
-        isinstance(manifest["baselines"].get("oracles"), dict)
-        and "idle" in manifest["baselines"]
-        and all(map(_is_baseline, (manifest["baselines"]["idle"], *manifest["baselines"]["oracles"].values())))
+        "idle" in baselines
+        and isinstance(baselines.get("oracles"), dict)
+        and all(map(_is_baseline, (baselines["idle"], *baselines["oracles"].values())))
     ):
         raise DamagedManifest(path, "its baselines are damaged")
     return manifest
@@ -289,6 +292,13 @@ def _sum_of(manifest: Mapping[str, Any]) -> str:
     """SHA-256 of the content, however its text is laid out."""
     content = {name: value for name, value in manifest.items() if name != "sha256"}
     return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
+
+
+def _varying(specification: Mapping[str, Any]) -> list[str]:
+    """As `gpcjax.sweep.plan.varying`, sorted, of a specification as JSON has it."""
+    axes = {name: specification.get(name) for name in ("delta", "rate")}
+    axes |= specification.get("hyperparameters") or {}
+    return sorted(name for name, values in axes.items() if isinstance(values, list) and len(values) > 1)
 
 
 def _is_baseline(numbers: object) -> bool:
