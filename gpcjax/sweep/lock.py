@@ -117,7 +117,7 @@ def _now() -> str:
 
 
 def _forget() -> None:
-    """In a forked child: the locks are its parent's, and a copy of a descriptor would keep them beyond its end."""
+    """In a forked child, as soon as it runs: a copy of a descriptor would keep its parent's lock beyond its end."""
     for _, descriptor in _held.values():
         if descriptor is not None:
             os.close(descriptor)

@@ -20,6 +20,8 @@ from typing import Any
 
 from gpcjax.sweep.environment import worker_environment
 
+CPUINFO = Path("/proc/cpuinfo")
+
 _VECTORS = re.compile(
     r"(sse\w*|ssse3|avx\w*|fma\w*|f16c|bmi[12]|amx\w*|gfni|vaes|asimd\w*|sve\w*|neon|fphp|bf16|i8mm)"
 )
@@ -76,7 +78,7 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 def _cpuinfo() -> dict[str, str]:
     """What Linux says of the first core."""
     try:
-        text = Path("/proc/cpuinfo").read_text()
+        text = CPUINFO.read_text()
     except OSError:
         return {}
     entries = (line.partition(":") for line in text.split("\n\n")[0].splitlines())

@@ -33,6 +33,9 @@ IDENTITY = ("env", "algo", "oracle", "error", "seed")
 _SEAL = b"gpcjax"
 """Key of the metadata in which a file says what it is, as JSON."""
 
+_WORTH_THREADS = 1 << 20
+"""Bytes from which threads decode faster than they start."""
+
 _UNSEALED_EPISODES = (
     *IDENTITY, "episode", "return", "length", "corrections", "mean_rate", "asked", "chance", "policy_points",
     "human_points", "clipped", "full", "status",
@@ -181,7 +184,7 @@ def is_ours(out: Path, name: str, manifest: Mapping[str, Any]) -> bool:
 
 def cells_of(table: pa.Table, columns: Sequence[str]) -> set[tuple[Any, ...]]:
     """The values of the key columns that occur, each once."""
-    unique = table.select(list(columns)).group_by(list(columns)).aggregate([])
+    unique = table.select(list(columns)).group_by(list(columns), use_threads=False).aggregate([])
     return set(zip(*(unique.column(name).to_pylist() for name in columns), strict=True))
 
 
@@ -268,12 +271,10 @@ def _seal_of(data: bytes) -> dict[str, Any] | None:
 
 
 def _decoded(data: bytes, columns: Sequence[str] | None = None, folder: str = EPISODES) -> pa.Table:
+    threads = len(data) > _WORTH_THREADS
     try:
-        table = pq.read_table(
-            pa.BufferReader(data),
-            columns=None if columns is None else list(columns),
-            page_checksum_verification=True,
-        )
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        table = file.read(None if columns is None else list(columns), use_threads=threads)
         table.validate(full=True)
     except Exception as error:  # as above
         raise _Damage(folder, f"it cannot be decoded, {_brief(error)}") from None

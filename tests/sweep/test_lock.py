@@ -1,8 +1,10 @@
 """One writer for a run folder, whoever it is and however it ends."""
 
+import contextlib
 import errno
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -76,26 +78,39 @@ def test_an_error_ends_it(tmp_path):
 
 
 def test_no_child_inherits_it(tmp_path):
-    """Neither a program that was started, though it keeps what it can, nor a fork."""
-    with held(tmp_path):
-        program = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, close_fds=False)
-        reader, writer = os.pipe()
-        child = os.fork()
-        if not child:
-            os.close(writer)
-            os.read(reader, 1)
-            os._exit(0)
+    """Neither a program that was started, though it keeps what it can, nor a fork: they live on, the lock does not."""
+    code = (
+        "import os, subprocess, sys; from gpcjax.sweep.lock import held\nfrom pathlib import Path\n"
+        "with held(Path(sys.argv[1])):\n"
+        "    program = subprocess.Popen([sys.executable, '-c', 'input()'], close_fds=False)\n"
+        "    fork = os.fork() or os.execvp(sys.executable, ['-', '-c', 'import time; time.sleep(600)'])\n"
+        "    idle = os.fork()\n"
+        "    if not idle: os.read(0, 1); os._exit(0)\n"
+        "    print('held', flush=True); os.kill(os.getpid(), 9)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdin is not None and process.stdout is not None
     try:
+        assert process.stdout.readline() == "held\n"
+        process.wait()
+        assert (tmp_path / LOCK).exists()
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:  # a fork lets go once it runs
+            with contextlib.suppress(UserError), held(tmp_path):
+                break
+            time.sleep(0.01)
         with held(tmp_path):
             pass
     finally:
-        os.close(writer)
-        os.waitpid(child, 0)
-        os.close(reader)
-        program.kill()
-        program.wait()
-        assert program.stdin is not None
-        program.stdin.close()
+        os.killpg(process.pid, signal.SIGKILL)
+        process.stdin.close()
+        process.stdout.close()
 
 
 def test_of_many_at_once_one_has_it(tmp_path):

@@ -17,14 +17,13 @@ import pytest
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.run import run, sweep
 from gpcjax.sweep.runfolder import FORMAT, tell, write_manifest
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store, read_episodes
-from tests.sweep.test_store import rows
+from tests.sweep.pretended import BASELINE, Pretended, rows
 
 SETTINGS = {
     "env": "cartpole",
@@ -35,32 +34,6 @@ SETTINGS = {
     "oracle": ["lqr"],
 }
 SPEC = spec_of(**SETTINGS)
-BASELINE = {"mean": 20.0, "std": 1.0, "n": 100}
-
-
-class Pretended:
-    """In place of `Executors`: hands in rows of all cells, or of some and then fails."""
-
-    def __init__(self, fails_after=None, error=KeyboardInterrupt):
-        self.fails_after, self.error, self.calls = fails_after, error, []
-
-    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
-        cells, baselines = list(cells), list(baselines)
-        self.calls.append((cells, baselines, jobs))
-        self.work = lambda: self._work(cells, baselines, on_rows, on_baseline, on_progress)
-        return self
-
-    def run(self):
-        self.work()
-
-    def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
-        for _, name in baselines:
-            on_baseline(name, BASELINE)
-        for index, cell in enumerate(cells):
-            if index == self.fails_after:
-                raise self.error
-            on_rows(rows(cell))
-            on_progress(Totals(env_steps=10 * (index + 1), episodes=3 * (index + 1), compile_seconds=2.0))
 
 
 @pytest.fixture
