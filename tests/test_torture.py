@@ -5,7 +5,9 @@ import pytest
 from tests import torture
 
 
-@pytest.mark.parametrize(("sealed", "cases"), [(True, len(torture.FAULTS) + 10), (False, len(torture.FAULTS))])
+@pytest.mark.parametrize(
+    ("sealed", "cases"), [(True, len(torture.FAULTS) + 10), (False, len(torture.FAULTS))]
+)
 def test_every_fault_is_found(sealed, cases):
     judged = list(torture.torture(cases, seed=1, sealed=sealed))
     wrong = [f"{name}\n{why}" for name, status, why in judged if status is None]

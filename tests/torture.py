@@ -58,7 +58,9 @@ class Case:
     def part(self, *folders: str) -> Path:
         """A file of a part, where there is one left."""
         folders = folders or (EPISODES, CORRECTIONS)
-        files = sorted(path for name in folders for path in (self.out / name).glob("part-*.parquet") if path.is_file())
+        files = sorted(
+            path for name in folders for path in (self.out / name).glob("part-*.parquet") if path.is_file()
+        )
         return self.pick(files) if files else self.out / MANIFEST
 
     def pick(self, items):
@@ -72,8 +74,11 @@ class Case:
             self.foreign[path] = content
 
 
-def _edited(edit: Callable[[Case, bytearray], bytes | bytearray]) -> Callable[[Case, Path], None]:
-    def spoil(case: Case, path: Path) -> None:
+def _edited(
+    edit: Callable[[Case, bytearray], bytes | bytearray], chosen: Callable[[Case], Path]
+) -> Callable[[Case], None]:
+    def spoil(case: Case) -> None:
+        path = chosen(case)
         if path.is_file():
             path.write_bytes(edit(case, bytearray(path.read_bytes())))
 
@@ -162,7 +167,9 @@ def _swap_sides(case: Case) -> None:
 def _rename(case: Case) -> None:
     path = case.part()
     if path.name != MANIFEST and path.exists():
-        path.rename(path.with_name(f"part-00007-{case.random.bytes(6).hex()}-{case.random.bytes(16).hex()}.parquet"))
+        path.rename(
+            path.with_name(f"part-00007-{case.random.bytes(6).hex()}-{case.random.bytes(16).hex()}.parquet")
+        )
 
 
 def _folder_in_place(case: Case) -> None:
@@ -229,11 +236,8 @@ def _manifest_of_another(case: Case) -> None:
 
 
 FAULTS: dict[str, Callable[[Case], None]] = {
-    **{f"part: {name}": lambda case, spoil=_edited(edit): spoil(case, case.part()) for name, edit in EDITS.items()},
-    **{
-        f"manifest: {name}": lambda case, spoil=_edited(edit): spoil(case, case.out / MANIFEST)
-        for name, edit in EDITS.items()
-    },
+    **{f"part: {name}": _edited(edit, lambda case: case.part()) for name, edit in EDITS.items()},
+    **{f"manifest: {name}": _edited(edit, lambda case: case.out / MANIFEST) for name, edit in EDITS.items()},
     "part: deleted": _delete,
     "part: deleted, both files": _delete_pair,
     "part: its folder deleted": _delete_folder,
@@ -341,8 +345,9 @@ def torture(cases: int, seed: int, sealed: bool = True) -> Iterator[tuple[str, s
 @contextlib.contextmanager
 def _workers() -> Iterator[Pretended]:
     pretended = Pretended()
-    with mock.patch.object(run_module, "Executors", pretended), contextlib.redirect_stderr(
-        io.StringIO() if not isinstance(sys.stderr, io.StringIO) else sys.stderr
+    with (
+        mock.patch.object(run_module, "Executors", pretended),
+        contextlib.redirect_stderr(io.StringIO() if not isinstance(sys.stderr, io.StringIO) else sys.stderr),
     ):
         yield pretended
 

@@ -13,14 +13,13 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from gpcjax.errors import UserError
 from gpcjax.report import curves, grids, html, style, words
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.sweep import store
-from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.runfolder import check_report, check_writable, tell
-
 
 _MEND = "make room and give the right to write, or report on a copy"
 

@@ -47,7 +47,9 @@ def held(out: Path) -> Iterator[None]:
             "wait until it ends, or give a new folder (--out)"
         ) from None
     except OSError as error:
-        raise UserError(f"{out}: nothing can be written there ({error.strerror}), give a new folder") from None
+        raise UserError(
+            f"{out}: nothing can be written there ({error.strerror}), give a new folder"
+        ) from None
     _held[folder] = threading.get_ident(), descriptor
     try:
         yield

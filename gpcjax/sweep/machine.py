@@ -34,7 +34,7 @@ _BITS = ("architecture", "cpu_family", "cpu_model", "vector_features", "vector_w
 
 
 def describe() -> dict[str, Any]:
-    """This machine, for the manifest: texts and numbers by name.
+    """What the manifest says of the present machine: texts and numbers by name.
 
     `vector_width` is what XLA is told to prefer, in bits (0: its own choice); `lapack` the library of scipy that jaxlib
     calls for factorisations, with the kernels that it has chosen here.

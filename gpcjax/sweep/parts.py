@@ -126,7 +126,8 @@ def whole_parts(
     Raises:
         UserError: a file cannot be read, whatever it holds.
     """
-    for name in _names(out / EPISODES):
+    names = _names(out / EPISODES)
+    for name in names:
         path = out / EPISODES / name
         try:
             if not path.is_file():
@@ -148,7 +149,12 @@ def whole_parts(
             found.foreign.append(f"{EPISODES}/{name}")
         else:
             yield Part(name, *tables)
-    found.foreign += [f"{CORRECTIONS}/{name}" for name in _names(out / CORRECTIONS) if not parse_part(name)]
+    beside = set(names) if manifest["format"] == UNSEALED else set()
+    found.foreign += [
+        f"{CORRECTIONS}/{name}"
+        for name in _names(out / CORRECTIONS)
+        if parse_part(name) is None and name not in beside
+    ]
 
 
 def versions_of(out: Path, hash_: str) -> dict[str, str] | None:

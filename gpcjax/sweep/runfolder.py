@@ -1,18 +1,18 @@
 """A run folder before anything runs: is it one, is it this sweep's, can it be written? Loads no jax.
 
-    OUT/manifest.json                          what the sweep is, and where, with what and how far it ran
+    OUT/manifest.json                              what the sweep is; where, with what and how far it ran
     OUT/episodes/part-NUMBER-HASH-DIGEST.parquet   rows of finished cells
-    OUT/corrections/...                        the corrections of the part of the same name
-    OUT/damaged/...                            what was no longer whole: set aside, never deleted
-    OUT/.gpcjax.lock                           while a sweep writes here
+    OUT/corrections/part-...                       the corrections of the part of the same name
+    OUT/damaged/...                                what was no longer whole: set aside, never deleted
+    OUT/.gpcjax.lock                               while a sweep writes here
 
 Format 3: HASH is the specification's, DIGEST the first half of the file's SHA-256. Inside, the key-value metadata of
 the Parquet file says again which specification its rows belong to, and with which versions they were made; that of the
 episodes has the SHA-256 of the corrections. The manifest carries the SHA-256 of its own content. So a file tells by
 itself whose it is and whether it is whole, wherever it lies and whatever became of the rest.
 
-Format 2 had parts named `part-NUMBER-RANDOM.parquet` that say nothing of themselves, and no sums: such a folder is read,
-checked as far as that goes, and continued with parts of format 3.
+Format 2 had parts named `part-NUMBER-RANDOM.parquet` that say nothing of themselves, and no sums: such a folder is
+read, checked as far as that goes, and continued with parts of format 3.
 """
 
 import hashlib
@@ -225,7 +225,9 @@ def _check_empty(out: Path, names: Iterable[str]) -> None:
     for name in sorted(names):
         if name == LOCK or target_of(name) == MANIFEST:
             continue
-        inside = sorted(path.name for path in (out / name).iterdir()) if name in (EPISODES, CORRECTIONS) else [""]
+        inside = (
+            sorted(path.name for path in (out / name).iterdir()) if name in (EPISODES, CORRECTIONS) else [""]
+        )
         if any(map(parse_part, inside)):
             raise UserError(f"{out}: it holds rows of another sweep and no manifest, {_GIVE_NEW}")
         for each in inside:

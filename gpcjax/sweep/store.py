@@ -112,9 +112,7 @@ class Store:
         if not rows:
             return
         corrections = sealed(self._correction_table(rows), CORRECTIONS, self._origin)
-        episodes = sealed(
-            self._episode_table(rows), EPISODES, self._origin, corrections=sha256(corrections)
-        )
+        episodes = sealed(self._episode_table(rows), EPISODES, self._origin, corrections=sha256(corrections))
         name = part_name(self._next, self._origin.hash, episodes)
         write_atomic(self._corrections / name, corrections)
         write_atomic(self._episodes / name, episodes)
@@ -223,7 +221,9 @@ def read(out: Path, say: Say = warn) -> Rows:
         corrections.append(_of_cells(part.corrections, names, new) if old else part.corrections)
     if found.damaged and not episodes:
         path, what = next(iter(found.damaged.items()))
-        raise UserError(f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again")
+        raise UserError(
+            f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
+        )
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return Rows(
         _frame(episodes, ["episode"]), _frame(corrections, ["episode", "step", "action_dim"]), manifest
@@ -262,7 +262,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     | clipped | int | steps | whose action was outside [-1, 1] |
     | full | int | | corrections that met a full dictionary |
     | status | str | | "ok", or why the run ended after this episode |
-    | delta, rate, ... | float | as the setting | one column for each setting with several values; null where it does not concern the learner |
+    | delta, rate, ... | float | as the setting | each setting with several values; null for learners without it |
 
     Raises:
         ValueError: `out` is no run folder, holds no episodes yet, or none that is whole.
@@ -281,11 +281,11 @@ def load_corrections(out: str | os.PathLike[str]) -> pd.DataFrame:
     | env, algo, oracle, error, seed, episode | | | as in `load` |
     | step | int | steps | of the episode, from 0 |
     | action_dim | int | | which dimension of the action was corrected |
-    | rate | float | normalised action | learning rate: how far the target lay from the action |
-    | sigma_policy | float | normalised action | predictive deviation of the policy before the correction; null for COACH |
+    | rate | float | normalised action | learning rate: from the action to its target |
+    | sigma_policy | float | normalised action | the policy's deviation before the correction; null for COACH |
     | sigma_human | float | advice | the same of the human model; null for COACH |
     | appended, replaced, full | bool | | what became of the point in the policy's dictionary |
-    | delta, advice_rate, ... | float | as the setting | one column for each setting with several values; `advice_rate` is the setting `rate` |
+    | delta, advice_rate, ... | float | as the setting | as in `load`; `advice_rate` is the setting `rate` |
 
     Raises:
         ValueError: as `load`.

@@ -159,12 +159,12 @@ def length_scale_grid(
 
 
 def write(out: Path, frame: pd.DataFrame, rows: pd.DataFrame, description: Mapping[str, Any]) -> Path:
-    """The store on disk, of format 2, its episodes in two files."""
+    """The store on disk, of format 2, in two parts."""
     for name, table in (("episodes", frame), ("corrections", rows)):
         (out / name).mkdir(parents=True)
-        half = len(table) // 2
-        table.iloc[:half].to_parquet(out / name / "0.parquet", index=False)
-        table.iloc[half:].to_parquet(out / name / "1.parquet", index=False)
+        half = table["seed"] < frame["seed"].nunique() // 2  # a run is in one part
+        table[half].to_parquet(out / name / "0.parquet", index=False)
+        table[~half].to_parquet(out / name / "1.parquet", index=False)
     specification = description["specification"]
     (out / "manifest.json").write_text(json.dumps({**description, "hash": hash_of(specification)}))
     return out

@@ -64,7 +64,8 @@ class TestClean:
         assert os.listdir(tmp_path) == [".b.0123456789ab.tmp"]
 
     @pytest.mark.parametrize(
-        "name", ["a", ".a.tmp", ".a.0123.tmp", "a.0123456789ab.tmp", ".a.0123456789AB.tmp", ".a.0123456789ab.tmp~"]
+        "name",
+        ["a", ".a.tmp", ".a.0123.tmp", "a.0123456789ab.tmp", ".a.0123456789AB.tmp", ".a.0123456789ab.tmp~"],
     )
     def test_what_is_not_of_our_form_stays(self, tmp_path, name):
         (tmp_path / name).touch()

@@ -5,7 +5,8 @@ import pytest
 from gpcjax.sweep import machine
 from gpcjax.sweep.environment import XLA_OPTIONS
 
-EPYC = "processor\t: 0\nmodel name\t: AMD EPYC\ncpu family\t: 25\nmodel\t\t: {model}\nstepping\t: 1\nflags\t\t: fpu {flags} sha_ni\n"
+EPYC = "processor\t: 0\nmodel name\t: AMD EPYC\ncpu family\t: 25\nmodel\t\t: {model}\nstepping\t: 1\n"
+EPYC += "flags\t\t: fpu {flags} sha_ni\n"
 
 
 @pytest.fixture
@@ -39,7 +40,11 @@ def test_processors_of_one_name_are_told_apart(described):
     assert machine.kind_of(one) != machine.kind_of(other)
     assert machine.differences(one, other) == ["vector_features"]
     assert machine.kind_of(one) != machine.kind_of(described(model="17"))
-    assert machine.kind_of(one) == machine.kind_of(described()) == machine.kind_of(one | {"cores": 999, "platform": "x"})
+    assert (
+        machine.kind_of(one)
+        == machine.kind_of(described())
+        == machine.kind_of(one | {"cores": 999, "platform": "x"})
+    )
 
 
 def test_the_users_own_width_is_the_one_in_force(described):
@@ -50,7 +55,9 @@ def test_the_users_own_width_is_the_one_in_force(described):
 def test_an_arm_processor(described):
     text = "processor\t: 0\nFeatures\t: fp asimd sha1 sve\nCPU implementer\t: 0x41\nCPU part\t: 0xd0c\n"
     got = described(cpuinfo=text)
-    assert got["vector_features"] == "asimd sve" and got["cpu_family"] == "0x41" and got["cpu_model"] == "0xd0c"
+    assert (
+        got["vector_features"] == "asimd sve" and got["cpu_family"] == "0x41" and got["cpu_model"] == "0xd0c"
+    )
 
 
 def test_a_machine_that_tells_nothing(monkeypatch, tmp_path):

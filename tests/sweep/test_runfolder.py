@@ -145,7 +145,10 @@ def texts(folder, **changes):
     return path, path.read_text()
 
 
-BASELINES = {"idle": {"mean": 20.25, "std": 1.5, "n": 100}, "oracles": {"lqr": {"mean": 2500.0, "std": 0.0, "n": 100}}}
+BASELINES = {
+    "idle": {"mean": 20.25, "std": 1.5, "n": 100},
+    "oracles": {"lqr": {"mean": 2500.0, "std": 0.0, "n": 100}},
+}
 
 
 def test_any_change_of_a_manifest_is_seen(tmp_path):
@@ -186,7 +189,9 @@ def test_a_key_that_is_missing_or_something_else_is_one_line(tmp_path, version, 
                 assert version == UNSEALED and name in ("versions", "machine", "varying", "sha256")
 
 
-@pytest.mark.parametrize("baselines", [[], {}, {"idle": 1, "oracles": {}}, {"idle": None, "oracles": {"lqr": {"mean": 1}}}])
+@pytest.mark.parametrize(
+    "baselines", [[], {}, {"idle": 1, "oracles": {}}, {"idle": None, "oracles": {"lqr": {"mean": 1}}}]
+)
 def test_baselines_of_format_2_have_their_form(tmp_path, baselines):
     texts(tmp_path, format=UNSEALED, baselines=baselines)
     assert "manifest.json: it" in refusal(read_manifest, tmp_path)
@@ -234,7 +239,13 @@ class TestSettingAside:
 def test_names_of_parts(name):
     part = parse_part(name)
     assert part is not None and part.number in (1, 7) and len(part.digest) in (0, 32)
-    for other in (f"x{name}", f"{name}.tmp", f".{name}", name.upper(), name.replace(".parquet", " (copy).parquet")):
+    for other in (
+        f"x{name}",
+        f"{name}.tmp",
+        f".{name}",
+        name.upper(),
+        name.replace(".parquet", " (copy).parquet"),
+    ):
         assert parse_part(other) is None
 
 

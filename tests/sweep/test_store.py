@@ -176,7 +176,6 @@ class TestReading:
         with pytest.raises(ValueError, match=r"manifest.json: cannot be read"):
             gpcjax.load(tmp_path)
 
-
     def test_corrections_of_ones_own(self, tmp_path):
         filled(tmp_path)
         pd.testing.assert_frame_equal(gpcjax.load(tmp_path), read_episodes(tmp_path))
@@ -189,7 +188,12 @@ class TestReading:
     @pytest.mark.parametrize("load", [gpcjax.load, gpcjax.load_corrections])
     def test_every_column_is_described(self, tmp_path, load):
         filled(tmp_path)
-        described = {name for line in load.__doc__.splitlines() if "|" in line for name in re.findall(r"\w+", line.split("|")[1])}
+        described = {
+            name
+            for line in load.__doc__.splitlines()
+            if "|" in line
+            for name in re.findall(r"\w+", line.split("|")[1])
+        }
         assert set(load(tmp_path).columns) <= described
 
 
@@ -208,7 +212,9 @@ class TestDamage:
         return path
 
     def test_a_reader_is_warned_and_gets_the_rest(self, tmp_path, spoiled):
-        message = rf"{tmp_path}: 1 damaged part left out, .* \(corrections/{spoiled.name}: its checksum differs\)"
+        message = (
+            rf"{tmp_path}: 1 damaged part left out, .* \(corrections/{spoiled.name}: its checksum differs\)"
+        )
         with pytest.warns(UserWarning, match=message):
             frame = gpcjax.load(tmp_path)
         assert len(frame) == 7 * 3
@@ -216,11 +222,15 @@ class TestDamage:
             assert len(gpcjax.load_corrections(tmp_path)) == 7 * 2
 
     def test_the_sweep_sets_both_files_aside(self, tmp_path, spoiled):
-        before = {folder: (tmp_path / folder / spoiled.name).read_bytes() for folder in ("episodes", "corrections")}
+        before = {
+            folder: (tmp_path / folder / spoiled.name).read_bytes() for folder in ("episodes", "corrections")
+        }
         said = []
         assert opened(tmp_path, say=said.append).missing(plan(SPEC)) == plan(SPEC)[2:3]
         (line,) = said
-        assert line.startswith(f"{tmp_path}: 1 damaged part moved to {tmp_path / 'damaged'}, what is missing runs again")
+        assert line.startswith(
+            f"{tmp_path}: 1 damaged part moved to {tmp_path / 'damaged'}, what is missing runs again"
+        )
         for folder, content in before.items():
             assert (tmp_path / "damaged" / folder / spoiled.name).read_bytes() == content
             assert not (tmp_path / folder / spoiled.name).exists()
@@ -338,7 +348,10 @@ class TestFormat2:
             (lambda frame: frame.iloc[:2], "it has a run without its last episodes"),
             (lambda frame: frame.iloc[1:], "it has a run whose episodes are not 1, 2, 3"),
             (lambda frame: pd.concat([frame, frame]), "it has a run whose episodes are not 1, 2, 3"),
-            (lambda frame: frame.assign(status=["full", "ok", "ok"]), "it has a run that goes on after its end"),
+            (
+                lambda frame: frame.assign(status=["full", "ok", "ok"]),
+                "it has a run that goes on after its end",
+            ),
             (lambda frame: frame.drop(columns="chance"), "it has no column chance"),
             (lambda frame: frame.assign(length=0), "it has episodes without a step"),
         ],
@@ -347,7 +360,9 @@ class TestFormat2:
         out, _ = old
         path = min((out / "episodes").iterdir())
         change(pd.read_parquet(path)).to_parquet(path, index=False)
-        with pytest.warns(UserWarning, match=rf"1 damaged part left out, .* \(episodes/{path.name}: {re.escape(message)}"):
+        with pytest.warns(
+            UserWarning, match=rf"1 damaged part left out, .* \(episodes/{path.name}: {re.escape(message)}"
+        ):
             assert len(gpcjax.load(out)) == 6 * 3
 
     def test_corrections_of_other_cells(self, old):
@@ -363,7 +378,9 @@ class TestFormat2:
         said = []
         store = opened(out, say=said.append)
         assert len(store.missing(plan(SPEC))) == 1 and (out / "episodes" / "mine.parquet").exists()
-        assert said == [f"{out}: not rows of this sweep, so neither read nor touched: 'episodes/mine.parquet'"]
+        assert said == [
+            f"{out}: not rows of this sweep, so neither read nor touched: 'episodes/mine.parquet'"
+        ]
 
 
 class TestGoingOn:
