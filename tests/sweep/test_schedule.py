@@ -29,7 +29,8 @@ def stored(tmp_path):
             frame = synthetic.episodes(algos=("gpc",), errors=(0.1,), seeds=seeds, length=episodes)
         frame["chance"] = chances[frame["seed"], frame["episode"] - 1]
         frame = frame.sample(frac=1, random_state=0)  # the order of arrival does not matter
-        corrections = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=seeds)
+        corrections = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=seeds).iloc[:0]
+        corrections = corrections.assign(**dict.fromkeys(varying, 0.0))
         return synthetic.write(
             tmp_path / "run", frame, corrections, synthetic.manifest(frame, varying, **manifest)
         )
