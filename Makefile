@@ -40,6 +40,7 @@ TAKES_oracles := ENV
 TAKES_reproduce := QUICK ONLY OUT JOBS
 TAKES_bench := ARGS
 TAKES_test := ARGS
+TAKES_torture := ARGS
 TAKES_lock := ARGS
 GOALS := $(or $(MAKECMDGOALS),help)
 TAKEN := $(foreach goal,$(GOALS),$(TAKES_$(goal))) PYTHON
@@ -57,7 +58,7 @@ flag = $(if $(filter command,$(origin $(call name,$1))),--$(lastword $(subst :, 
 SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair))) $(value ARGS)
 REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 
-.PHONY: help sweep grid report reproduce oracles bench test lint format lock clean
+.PHONY: help sweep grid report reproduce oracles bench test torture lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -82,6 +83,9 @@ bench: $(READY) ## measure the throughput
 
 test: $(READY) ## run every test
 	.venv/bin/python -m pytest -n 2 $(value ARGS)
+
+torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found
+	.venv/bin/python -m tests.torture $(value ARGS)
 
 lint: $(READY) ## check style, types and the direction of imports
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .

@@ -13,6 +13,7 @@ _PUBLIC = {
     "draw_report": "gpcjax.report.run:draw",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
     "load": "gpcjax.sweep.store:load",
+    "load_corrections": "gpcjax.sweep.store:load_corrections",
     "load_policy": "gpcjax.policies.saved:load_policy",
     "make_env": "gpcjax.envs.registry:make_env",
     "make_expert": "gpcjax.envs.registry:make_expert",
@@ -34,6 +35,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "run_sweep",
     "draw_report",
     "load",
+    "load_corrections",
 ]
 
 if TYPE_CHECKING:
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle
     from gpcjax.sweep.run import sweep as run_sweep
-    from gpcjax.sweep.store import load
+    from gpcjax.sweep.store import load, load_corrections
 
 
 def __getattr__(name: str) -> Any:

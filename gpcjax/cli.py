@@ -12,6 +12,7 @@ from gpcjax import cli_options
 from gpcjax.envs.registry import env_names
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import check, chosen, folder
+from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
@@ -111,8 +112,9 @@ def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:
     try:
         from gpcjax.sweep.run import run
 
-        run(spec, out, jobs)
-        return _report(out)
+        with held(out):  # until the report is written, too
+            run(spec, out, jobs)
+            return _report(out)
     except KeyboardInterrupt:
         message = f"stopped: {out} keeps what is finished, the same command goes on from there"
         return _fail(message, INTERRUPTED)

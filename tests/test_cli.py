@@ -2,9 +2,10 @@
 
 import argparse
 import errno
-import json
+import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,8 +14,8 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.sweep.plan import specification_hash
-from gpcjax.sweep.runfolder import FORMAT
-from gpcjax.sweep.spec import as_dict, spec_of
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.folders import begun
 
 
 @pytest.fixture(autouse=True)
@@ -27,8 +28,7 @@ def calls(monkeypatch, tmp_path):
         record.run.append((spec, out, jobs))
         if record.fails:
             raise record.fails
-        manifest = {"format": FORMAT, "hash": specification_hash(spec), "specification": as_dict(spec)}
-        (out / "manifest.json").write_text(json.dumps(manifest))
+        begun(out, spec)
         (out / "episodes").mkdir(exist_ok=True)
         (out / "episodes" / "0.parquet").touch()
 
@@ -298,6 +298,22 @@ def test_the_folder_of_another_sweep_is_refused(calls, capsys):
     Path("here/manifest.json").write_text("{")
     assert "here/manifest.json: cannot be read" in fails(capsys, *"sweep --env cartpole --out here".split())
     assert len(calls.run) == 1
+
+
+def test_a_sweep_has_its_folder_until_its_report_is_written(calls, capsys, monkeypatch):
+    """Whoever asks meanwhile, also from another thread, is refused in one line."""
+    lines = []
+
+    def draw(out):
+        with ThreadPoolExecutor() as pool:
+            lines.append(pool.submit(fails, capsys, *"sweep --env cartpole --out here".split()).result())
+        return SimpleNamespace(files=())
+
+    monkeypatch.setitem(sys.modules, "gpcjax.report.run", SimpleNamespace(draw=draw))
+    assert cli.main("sweep --env cartpole --out here".split()) == 0
+    assert len(calls.run) == 1
+    assert lines[0].startswith(f"gpcjax: error: here: another sweep writes there (process {os.getpid()} on ")
+    assert not list(Path("here").glob(".*"))
 
 
 def test_home_is_expanded(calls, monkeypatch, tmp_path):

@@ -64,6 +64,7 @@ def page(summary: Summary, pictures: Iterable[Picture]) -> str:
         facts("Specification", manifest.get("specification") or {}, {"hash": manifest.get("hash", "")}),
         facts("Run", _throughput(manifest)),
         facts("Machine", manifest.get("machine") or {}),
+        *(facts("It went on with another machine", each) for each in manifest.get("further_machines") or ()),
         facts("Versions", manifest.get("versions") or {}),
     ]
     return document(_title(summary), body)

@@ -1,4 +1,8 @@
-"""From a store to its report: read, count, draw, write. Every file is replaced as a whole."""
+"""From a store to its report: read, count, draw, write. Every file is replaced as a whole.
+
+A report needs no lock: it reads what is whole of a store that a sweep is writing to, and the sweep draws it again at
+its end.
+"""
 
 import os
 from collections.abc import Mapping
@@ -8,21 +12,29 @@ from typing import Any
 
 import pandas as pd
 
+from gpcjax.errors import UserError
 from gpcjax.report import curves, grids, html, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.sweep import store
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.runfolder import check_report, check_writable, tell
+
+_MEND = "make room and give the right to write, or report on a copy"
 
 
 def draw(out: str | os.PathLike[str]) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
+    What is damaged or foreign in the store is left out, with a line on stderr.
+
     Raises:
-        UserError: `out` holds no store, or no episode yet.
+        UserError: `out` holds no store, no episode yet or none that is whole, or nothing can be written there.
     """
     out = Path(out)
-    return draw_frames(out, store.read_episodes(out), store.read_corrections(out), store.read_manifest(out))
+    check_report(out)
+    check_writable(out)
+    return draw_frames(out, *store.read(out, tell))
 
 
 def draw_frames(
@@ -31,7 +43,7 @@ def draw_frames(
     """The same for rows and a manifest that were read.
 
     Raises:
-        UserError: there is no episode.
+        UserError: there is no episode, or a file cannot be written.
     """
     summary = summarise(gather(episodes, manifest))
     drawings = {
@@ -50,5 +62,8 @@ def draw_frames(
             pictures.append(html.pictured(drawing))
     files["report.html"] = html.page(summary, pictures)
     for name, content in files.items():
-        write_atomic(out / name, content)
+        try:
+            write_atomic(out / name, content)
+        except OSError as error:
+            raise UserError(f"{out / name}: cannot be written ({error.strerror}), {_MEND}") from None
     return replace(summary, files=tuple(out / name for name in files))

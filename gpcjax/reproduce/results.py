@@ -13,7 +13,8 @@ from gpcjax.report.curves import first_rates
 from gpcjax.report.groups import Group, Study, gather
 from gpcjax.report.statistics import Scores
 from gpcjax.report.summary import Summary, summarise
-from gpcjax.sweep.store import read_corrections, read_episodes, read_manifest
+from gpcjax.sweep import store
+from gpcjax.sweep.runfolder import read_manifest, tell
 
 EARLY = 10
 """Episodes that count as the leading part of a learning curve."""
@@ -63,8 +64,8 @@ def read(out: Path) -> Experiment | None:
     """The experiment in a run folder; None where it is missing or not complete."""
     if not (out / "manifest.json").exists() or not read_manifest(out)["complete"]:
         return None
-    episodes = read_episodes(out)
-    return Experiment(gather(episodes, read_manifest(out)), episodes, read_corrections(out))
+    rows = store.read(out, tell)
+    return Experiment(gather(rows.episodes, rows.manifest), rows.episodes, rows.corrections)
 
 
 def joined(first: Experiment, second: Experiment) -> Experiment:

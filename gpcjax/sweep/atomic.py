@@ -1,10 +1,18 @@
 """Files that are whole or absent: a temporary file beside the target, fsync, `os.replace`. Standard library only."""
 
 import os
+import re
+import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_TEMPORARY = re.compile(r"\.(?P<target>.+)\.[0-9a-f]{12}\.tmp")
+"""What `atomic_path` calls its files until they are whole."""
+
+OLD_SECONDS = 3600.0
+"""No file takes so long to write: one this old was left by a process that was killed."""
 
 
 @contextmanager
@@ -35,6 +43,33 @@ def write_atomic(path: Path, data: bytes | str) -> None:
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def target_of(name: str) -> str | None:
+    """The name that a temporary file of ours would have got; None for any other file."""
+    match = _TEMPORARY.fullmatch(name)
+    return match["target"] if match else None
+
+
+def clean(folder: Path, ours: Callable[[str], bool]) -> None:
+    """Remove the temporary files that killed processes have left in `folder`; a folder that is missing has none.
+
+    Those whose target is `ours` go at once: the caller is the one process that writes such files. Others may be in the
+    making (a report needs no lock), and go when they are `OLD_SECONDS` old. What cannot be removed stays.
+    """
+    try:
+        names = os.listdir(folder)
+    except OSError:
+        return
+    for name in names:
+        target, path = target_of(name), folder / name
+        if target is None:
+            continue
+        try:
+            if ours(target) or time.time() - path.lstat().st_mtime > OLD_SECONDS:
+                path.unlink(missing_ok=True)
+        except OSError:
+            continue
 
 
 def _flush(path: Path) -> None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import HYPERPARAMETERS
@@ -120,7 +120,12 @@ def varying(spec: SweepSpec) -> list[str]:
 
 def specification_hash(spec: SweepSpec) -> str:
     """Twelve hex digits that specifications share if they differ in the order of their lists alone."""
-    text = json.dumps(canonical(as_dict(spec)), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hash_of(as_dict(spec))
+
+
+def hash_of(specification: Mapping[str, Any]) -> str:
+    """The same of a specification as JSON has it, as a manifest holds it."""
+    text = json.dumps(canonical(specification), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

@@ -1,7 +1,6 @@
 """One sweep from its specification to a complete store. The parent process loads no jax."""
 
 import importlib.metadata
-import json
 import os
 import platform
 import time
@@ -13,10 +12,24 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 import gpcjax
 from gpcjax.errors import UserError
-from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep import machine
 from gpcjax.sweep.executors import Executors, Totals
+from gpcjax.sweep.lock import held
+from gpcjax.sweep.parts import versions_of
 from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
-from gpcjax.sweep.runfolder import FORMAT, MANIFEST, check_sweep, make_writable, read_manifest
+from gpcjax.sweep.runfolder import (
+    DAMAGED,
+    FORMAT,
+    MANIFEST,
+    DamagedManifest,
+    check_sweep,
+    make_writable,
+    own_parts,
+    read_manifest,
+    set_aside,
+    tell,
+    write_manifest,
+)
 from gpcjax.sweep.spec import SweepSpec, as_dict, spec_of
 from gpcjax.sweep.store import CellRows, Store
 
@@ -35,7 +48,8 @@ def sweep(out: str | os.PathLike[str] | None = None, jobs: int = 1, **settings: 
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
 
     Raises:
-        UserError: a setting that is not allowed, or a folder that is another sweep's (a ValueError).
+        UserError: a setting that is not allowed, or a folder that is another sweep's or that another process is
+            writing to (a ValueError).
     """
     spec = spec_of(**settings)
     folder = default_out(spec) if out is None else Path(out)
@@ -48,17 +62,44 @@ def sweep(out: str | os.PathLike[str] | None = None, jobs: int = 1, **settings: 
 def run(spec: SweepSpec, out: Path, jobs: int) -> None:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
+    Nobody else can write to `out` meanwhile. What is damaged there is set aside with a line on stderr, and computed
+    again: the manifest too, if the parts say that they are of this sweep.
+
     Raises:
-        UserError: `out` was begun with other versions of what computes, whose rows would differ in the last bits.
+        UserError: `out` holds something else, another process writes there, or it was begun with other versions of
+            what computes, whose rows would differ in the last bits.
         RuntimeError: a worker failed; what was finished is kept.
     """
-    cells, names = plan(spec), varying(spec)
-    manifest = read_manifest(out) if (out / MANIFEST).exists() else _new_manifest(spec, names, len(cells))
-    store = Store(out, names)
-    missing = store.missing(cells)
-    if missing or not manifest["complete"]:
-        _refuse_other_versions(out, manifest)
-        _Sweep(spec, out, manifest, store, missing).run(jobs)
+    with held(out):
+        check_sweep(out, spec)  # again: somebody may have been faster
+        cells = plan(spec)
+        manifest = _manifest(spec, out, len(cells))
+        here = machine.describe()
+        store = Store(out, manifest, machine.kind_of(here))
+        missing = store.missing(cells)
+        if missing or not manifest["complete"]:
+            _refuse_other_versions(out, manifest)
+            _note_machine(out, manifest, here)
+            _Sweep(spec, out, manifest, store, missing).run(jobs)
+
+
+def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
+    """The manifest of `out`; a new one where there is none, or none that is whole."""
+    names = varying(spec)
+    try:
+        if (out / MANIFEST).exists():
+            return read_manifest(out)
+        what = "is missing"
+    except DamagedManifest:
+        set_aside(out, out / MANIFEST)
+        what = f"was damaged and lies in {out / DAMAGED} now"
+    manifest = _new_manifest(spec, names, cells)
+    if own_parts(out, manifest["hash"]):
+        # Its parts may be all that there is to compute, and of other versions than these.
+        manifest["versions"] = versions_of(out, manifest["hash"]) or manifest["versions"]
+        manifest["recovered"] = True
+        tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
+    return manifest
 
 
 class _Sweep:
@@ -147,7 +188,7 @@ class _Sweep:
             self._manifest["wall_time_s"], 1e-9
         )
         self._manifest["complete"] = complete
-        write_atomic(self._out / MANIFEST, json.dumps(self._manifest, indent=2) + "\n")
+        write_manifest(self._out, self._manifest)
 
 
 def _new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any]:
@@ -159,11 +200,7 @@ def _new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, An
         "cells": cells,
         "baselines": {"idle": None, "oracles": {}},
         "versions": _versions(),
-        "machine": {
-            "platform": platform.platform(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-        },
+        "machine": machine.describe(),
         "jobs": 0,
         **dict.fromkeys(_ACCUMULATED, 0),
         "env_steps_per_s": 0,
@@ -189,12 +226,17 @@ def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
             )
 
 
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> None:
+    """Adds this machine to a manifest that was begun on one of another kind, and says that bits may differ."""
+    kind = machine.kind_of(here)
+    known = [manifest["machine"], *manifest.get("further_machines", [])]
+    if kind in map(machine.kind_of, known):
+        return
+    manifest["further_machines"] = [*known[1:], here]
+    before = known[0]
+    if machine.kind_of(before):  # an old manifest does not say enough to tell
+        names = ", ".join(machine.differences(before, here))
+        tell(f"{out}: begun on another kind of machine ({names}): last bits may differ, see its manifest")
 
 
 def _progress_bar() -> Progress:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.runfolder import check_report, read_manifest
+from gpcjax.sweep.runfolder import check_report, tell
 
 
 def offered_rates(out: Path) -> tuple[float, ...]:
@@ -13,17 +13,18 @@ def offered_rates(out: Path) -> tuple[float, ...]:
     chance was worked out: a fair sample, since the coins know nothing of the learner.
 
     Raises:
-        UserError: `out` is no run folder, is not complete, or holds more than one setting.
+        UserError: `out` is no run folder, is not complete or no longer whole, or holds more than one setting.
     """
     check_report(out)
     import numpy as np
 
-    from gpcjax.sweep.store import IDENTITY, read_episodes
+    from gpcjax.sweep.store import IDENTITY, read
 
-    manifest = read_manifest(out)
-    if not manifest["complete"]:
+    frame, _, manifest = read(out, tell)
+    # A part that is lost or damaged would change the means, without a sign in them.
+    first = frame[frame["episode"] == 1] if len(frame) else frame
+    if not manifest["complete"] or len(first) < manifest["cells"]:
         raise UserError(f"{out}: this sweep is not complete, run it to its end first")
-    frame = read_episodes(out)
     for name in (*IDENTITY[1:-1], *manifest["varying"]):
         if len(set(frame[name].tolist())) > 1:
             raise UserError(f"{out}: its runs differ in {name}, give a sweep of one setting")

@@ -2,28 +2,51 @@
 
 A part holds the rows of some finished cells: `episodes/NAME.parquet` and `corrections/NAME.parquet` of the same
 name. The corrections are written first; a part without episodes was interrupted, and is removed when the sweep goes on.
+What makes a part whole, and one of this sweep, is in `gpcjax.sweep.parts`.
 """
 
 import os
-import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS
-from gpcjax.sweep.atomic import atomic_path
+from gpcjax.sweep.atomic import clean, write_atomic
+from gpcjax.sweep.parts import IDENTITY, Found, Origin, cells_of, is_ours, orphans, sealed, whole_parts
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.runfolder import CORRECTIONS, EPISODES, check_report, read_manifest
+from gpcjax.sweep.runfolder import (
+    CORRECTIONS,
+    DAMAGED,
+    EPISODES,
+    MANIFEST,
+    Say,
+    check_report,
+    parse_part,
+    part_name,
+    read_manifest,
+    set_aside,
+    sha256,
+    tell,
+    warn,
+)
 
-__all__ = ["CellRows", "Store", "load", "read_corrections", "read_episodes", "read_manifest"]
-
-IDENTITY = ("env", "algo", "oracle", "error", "seed")
-"""Columns that every table begins with; those that vary come last."""
+__all__ = [
+    "IDENTITY",
+    "CellRows",
+    "Rows",
+    "Store",
+    "load",
+    "load_corrections",
+    "read",
+    "read_corrections",
+    "read_episodes",
+    "read_manifest",
+]
 
 
 class CellRows(NamedTuple):
@@ -41,44 +64,65 @@ class CellRows(NamedTuple):
 
 
 class Store:
-    """The parts of one run folder.
+    """The parts of one run folder, for the one process that writes there (`gpcjax.sweep.lock.held`).
 
     Args:
         out: the run folder; it exists.
-        varying: columns beside `IDENTITY` that tell cells apart.
+        manifest: what it says of the sweep.
+        machine: `gpcjax.sweep.machine.kind_of` the machine that computes what will be appended.
+        say: takes a line for the person.
     """
 
-    def __init__(self, out: Path, varying: Sequence[str]):
-        self._varying = tuple(varying)
+    def __init__(self, out: Path, manifest: Mapping[str, Any], machine: str = "", say: Say = tell):
+        self._out, self._manifest, self._say = out, manifest, say
+        self._varying = tuple(manifest["varying"])
+        self._origin = Origin(manifest["hash"], manifest["versions"], machine)
         self._episodes, self._corrections = out / EPISODES, out / CORRECTIONS
         for folder in (self._episodes, self._corrections):
             folder.mkdir(exist_ok=True)
+        numbers = [part.number for path in self._episodes.iterdir() if (part := parse_part(path.name))]
+        self._next = max(numbers, default=-1) + 1
 
     def missing(self, cells: Iterable[Cell]) -> list[Cell]:
-        """The cells that have no rows yet; what an interruption left behind is removed."""
-        whole = {path.name for path in self._episodes.glob("*.parquet")}
-        for folder in (self._episodes, self._corrections):
-            for path in folder.iterdir():
-                if path.name not in whole:
-                    path.unlink()
-        columns = [*IDENTITY, *self._varying]
+        """The cells that have no rows yet.
+
+        What is damaged is moved to `OUT/damaged`, with a line, and its cells are missing; what an interruption left
+        behind is removed. What is not ours stays as it is.
+        """
+        self._clean()
+        columns, found = [*IDENTITY, *self._varying], Found()
         stored: set[tuple[Any, ...]] = set()
-        for path in self._episodes.glob("*.parquet"):
-            table = pq.read_table(path, columns=columns)
-            stored |= set(zip(*(table.column(name).to_pylist() for name in columns), strict=True))
+        for part in whole_parts(self._out, self._manifest, found, columns):
+            held = cells_of(part.episodes, columns)
+            found.repeated += len(held & stored)
+            stored |= held
+        for name in orphans(self._out):
+            if is_ours(self._out, name, self._manifest):
+                (self._corrections / name).unlink(missing_ok=True)
+            else:
+                found.damaged[f"{CORRECTIONS}/{name}"] = "it belongs to no episodes"
+        for name in found.parts:
+            set_aside(self._out, self._episodes / name, self._corrections / name)
+        fate = f"moved to {self._out / DAMAGED}, what is missing runs again"
+        found.speak(self._out, self._say, fate)
         return [cell for cell in cells if self._key(cell) not in stored]
 
     def append(self, rows: Sequence[CellRows]) -> None:
         """Writes the rows of some cells as one part."""
         if not rows:
             return
-        name = f"part-{len(list(self._episodes.glob('*.parquet'))):05d}-{uuid.uuid4().hex[:12]}.parquet"
-        for folder, table in (
-            (self._corrections, self._correction_table(rows)),
-            (self._episodes, self._episode_table(rows)),
-        ):
-            with atomic_path(folder / name) as path:
-                pq.write_table(table, path)
+        corrections = sealed(self._correction_table(rows), CORRECTIONS, self._origin)
+        episodes = sealed(self._episode_table(rows), EPISODES, self._origin, corrections=sha256(corrections))
+        name = part_name(self._next, self._origin.hash, episodes)
+        write_atomic(self._corrections / name, corrections)
+        write_atomic(self._episodes / name, episodes)
+        self._next += 1
+
+    def _clean(self) -> None:
+        """Temporary files that a kill has left: nobody but the writer of this folder makes them."""
+        clean(self._out, lambda target: target == MANIFEST)
+        for folder in (self._episodes, self._corrections):
+            clean(folder, lambda target: parse_part(target) is not None)
 
     def _key(self, cell: Cell) -> tuple[Any, ...]:
         return (
@@ -137,9 +181,8 @@ class Store:
             name: repeated([getattr(row.cell, name) for row in rows], kind)
             for name, kind in zip(IDENTITY, kinds, strict=True)
         }
-        # A correction's `rate` is the learning rate; the chance of advice stands beside it under another name.
         varying = {
-            "advice_rate" if name in columns else name: repeated(
+            _correction_column(name) if name in columns else name: repeated(
                 [_setting(row.cell, name) for row in rows], pa.float64()
             )
             for name in self._varying
@@ -147,37 +190,138 @@ class Store:
         return pa.table(identity | columns | varying)
 
 
-def read_episodes(out: Path) -> pd.DataFrame:
-    """One row for each cell and episode, in the order algo, error, the varying columns, seed, episode."""
-    return _read(out / EPISODES, ["episode"])
+class Rows(NamedTuple):
+    """What a run folder holds."""
+
+    episodes: pd.DataFrame
+    corrections: pd.DataFrame
+    manifest: dict[str, Any]
 
 
-def read_corrections(out: Path) -> pd.DataFrame:
+def read(out: Path, say: Say = warn) -> Rows:
+    """All rows of a run folder that are whole and of its sweep, while a sweep may be writing there.
+
+    What is damaged is left out, and what is not of this sweep is not read: `say` gets a line for each, if there is any.
+    No row is read twice.
+
+    Raises:
+        UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
+    """
+    manifest = read_manifest(out)
+    varying, found, seen = manifest["varying"], Found(), set()
+    episodes, corrections = [], []
+    keys = [*IDENTITY, *varying]
+    for part in whole_parts(out, manifest, found):
+        cells = cells_of(part.episodes, keys)
+        new, old = cells - seen, cells & seen
+        found.repeated += len(old)
+        seen |= new
+        episodes.append(_of_cells(part.episodes, keys, new) if old else part.episodes)
+        names = [*IDENTITY, *map(_correction_column, varying)]
+        corrections.append(_of_cells(part.corrections, names, new) if old else part.corrections)
+    if found.damaged and not episodes:
+        path, what = next(iter(found.damaged.items()))
+        raise UserError(
+            f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
+        )
+    found.speak(out, say, "left out, the same sweep computes what is missing again")
+    return Rows(
+        _frame(episodes, ["episode"]), _frame(corrections, ["episode", "step", "action_dim"]), manifest
+    )
+
+
+def read_episodes(out: Path, say: Say = warn) -> pd.DataFrame:
+    """One row for each cell and episode, in the order algo, error, the varying columns, seed, episode: see `read`."""
+    return read(out, say).episodes
+
+
+def read_corrections(out: Path, say: Say = warn) -> pd.DataFrame:
     """One row for each of the first corrections of each cell, in the order of `read_episodes`, then by step."""
-    return _read(out / CORRECTIONS, ["episode", "step", "action_dim"])
+    return read(out, say).corrections
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
-    """The episodes of a run folder as a pandas frame: see `read_episodes`.
+    """The episodes of a run folder as a pandas frame: a row for each run and episode.
+
+    Rows are ordered by algo, oracle, error, the settings that vary, seed, episode. Parts that are damaged are left out
+    with a warning (`UserWarning`), and so is what is not of this sweep. A sweep may be writing there meanwhile.
+
+    | column | type | unit | what |
+    |---|---|---|---|
+    | env, algo, oracle | str | | the task, who learned, whose actions the teacher aimed at |
+    | error | float | | chance that an advice had the wrong sign |
+    | seed | int | | of the run's random streams |
+    | episode | int | | from 1 |
+    | return | float | the task's reward | sum of rewards |
+    | length | int | steps | until the episode ended |
+    | corrections | int | | advices that the learner took |
+    | mean_rate | float | normalised action | mean learning rate of these; null without any |
+    | asked | int | steps | at which the teacher's coins allowed advice |
+    | chance | float | | mean chance of advice at these; null without any |
+    | policy_points, human_points | int | points | in the dictionaries at the episode's end; null for COACH |
+    | clipped | int | steps | whose action was outside [-1, 1] |
+    | full | int | | corrections that met a full dictionary |
+    | status | str | | "ok", or why the run ended after this episode |
+    | delta, rate, ... | float | as the setting | each setting with several values; null for learners without it |
 
     Raises:
-        ValueError: `out` is no run folder, or holds no episodes yet.
+        ValueError: `out` is no run folder, holds no episodes yet, or none that is whole.
     """
-    check_report(Path(out))
-    return read_episodes(Path(out))
+    return _read_some(Path(out)).episodes
 
 
-def _read(folder: Path, order: list[str]) -> pd.DataFrame:
-    paths = sorted(folder.glob("*.parquet"))
-    if not paths:
+def load_corrections(out: str | os.PathLike[str]) -> pd.DataFrame:
+    """The corrections of a run folder as a pandas frame: a row for each of the first 200 of each run.
+
+    A correction of several action dimensions has a row for each. Rows are ordered as those of `load`, then by step and
+    action dimension; what is damaged or foreign is treated as there.
+
+    | column | type | unit | what |
+    |---|---|---|---|
+    | env, algo, oracle, error, seed, episode | | | as in `load` |
+    | step | int | steps | of the episode, from 0 |
+    | action_dim | int | | which dimension of the action was corrected |
+    | rate | float | normalised action | learning rate: from the action to its target |
+    | sigma_policy | float | normalised action | the policy's deviation before the correction; null for COACH |
+    | sigma_human | float | advice | the same of the human model; null for COACH |
+    | appended, replaced, full | bool | | what became of the point in the policy's dictionary |
+    | delta, advice_rate, ... | float | as the setting | as in `load`; `advice_rate` is the setting `rate` |
+
+    Raises:
+        ValueError: as `load`.
+    """
+    return _read_some(Path(out)).corrections
+
+
+def _read_some(out: Path) -> Rows:
+    check_report(out)
+    rows = read(out)
+    if rows.episodes.empty:
+        raise UserError(f"{out}: it holds no episodes of its sweep")
+    return rows
+
+
+def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]]) -> pa.Table:
+    """The rows of these cells alone."""
+    each = zip(*(table.column(name).to_pylist() for name in keys), strict=True)
+    return table.filter(pa.array([key in cells for key in each], pa.bool_()))
+
+
+def _frame(tables: Sequence[pa.Table], order: list[str]) -> pd.DataFrame:
+    if not tables:
         return pd.DataFrame()
-    frame = pa.concat_tables([pq.read_table(path) for path in paths]).to_pandas()
+    frame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
     ranks = {name: rank for rank, name in enumerate(ALGORITHMS)}
     after = list(frame.columns)[list(frame.columns).index("status" if "status" in frame else "full") + 1 :]
     keys = ["algo", "oracle", "error", *after, "seed", *order]
     return frame.sort_values(
         keys, key=lambda column: column.map(ranks) if column.name == "algo" else column, kind="stable"
     ).reset_index(drop=True)
+
+
+def _correction_column(name: str) -> str:
+    """The column of a varying setting beside corrections, whose `rate` is the learning rate."""
+    return "advice_rate" if name == "rate" else name
 
 
 def _setting(cell: Cell, name: str) -> float | None:

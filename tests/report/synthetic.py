@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from gpcjax.sweep.plan import hash_of
+
 LEVELS = {"cartpole": (40.0, 2500.0), "pendulum": (-1200.0, -150.0), "lunarlander": (-130.0, 250.0)}
 """Return of the idle policy and of the oracle."""
 
@@ -118,8 +120,8 @@ def manifest(frame: pd.DataFrame, varying: Sequence[str] = (), **changes: Any) -
             "seeds": int(max(frame["seed"])) + 1,
             "episodes": int(max(frame["episode"])),
             "oracle": list(dict.fromkeys(frame["oracle"])),
-            "delta": [0.05],
-            "rate": [0.05],
+            "delta": settings.pop("delta", [0.05]),
+            "rate": settings.pop("rate", [0.05]),
             "rate_schedule": [],
             "sparsify": True,
             "on_full": "error",
@@ -157,13 +159,14 @@ def length_scale_grid(
 
 
 def write(out: Path, frame: pd.DataFrame, rows: pd.DataFrame, description: Mapping[str, Any]) -> Path:
-    """The store on disk, its episodes in two files."""
+    """The store on disk, of format 2, in two parts."""
     for name, table in (("episodes", frame), ("corrections", rows)):
         (out / name).mkdir(parents=True)
-        half = len(table) // 2
-        table.iloc[:half].to_parquet(out / name / "0.parquet", index=False)
-        table.iloc[half:].to_parquet(out / name / "1.parquet", index=False)
-    (out / "manifest.json").write_text(json.dumps(description))
+        half = table["seed"] < frame["seed"].nunique() // 2  # a run is in one part
+        table[half].to_parquet(out / name / "0.parquet", index=False)
+        table[~half].to_parquet(out / name / "1.parquet", index=False)
+    specification = description["specification"]
+    (out / "manifest.json").write_text(json.dumps({**description, "hash": hash_of(specification)}))
     return out
 
 

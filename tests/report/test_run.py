@@ -1,3 +1,4 @@
+import errno
 import os
 import re
 import subprocess
@@ -11,7 +12,9 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.report import curves
+from gpcjax.report import run as run_module
 from gpcjax.report.run import draw, draw_frames
+from gpcjax.sweep import runfolder, store
 from tests.report import synthetic
 
 PLAIN = {
@@ -115,6 +118,64 @@ def test_nothing_to_report(out):
         draw_frames(out, frame.iloc[:0], synthetic.corrections(seeds=1), synthetic.manifest(frame))
     assert "\n" not in str(caught.value)
     assert not list(out.iterdir())
+
+
+class TestUnwritable:
+    """One line, as a sweep has it."""
+
+    @pytest.fixture(autouse=True)
+    def run_folder(self, out):
+        frame = synthetic.episodes(seeds=3, errors=(0.0,), length=4)
+        synthetic.write(out, frame, synthetic.corrections(seeds=3, errors=(0.0,)), synthetic.manifest(frame))
+
+    def refusal(self, out):
+        with pytest.raises(UserError) as caught:
+            draw(out)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    def test_a_folder_without_the_right_to_write(self, out, monkeypatch):
+        def denied(**options):
+            raise OSError(errno.EROFS, "Read-only file system", options["dir"])
+
+        monkeypatch.setattr(runfolder.tempfile, "TemporaryFile", denied)
+        monkeypatch.setattr(store, "read", None)  # said before anything is read or drawn
+        message = f"{out}: nothing can be written there (Read-only file system), report on a copy of it"
+        assert self.refusal(out) == message
+
+    @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG])
+    def test_a_file_that_cannot_be_written(self, out, monkeypatch, number):
+        def full(path, content):
+            raise OSError(number, os.strerror(number), str(path))
+
+        monkeypatch.setattr(run_module, "write_atomic", full)
+        assert self.refusal(out) == (
+            f"{out / 'summary.csv'}: cannot be written ({os.strerror(number)}), "
+            "make room and give the right to write, or report on a copy"
+        )
+
+    def test_a_folder_in_the_place_of_a_file(self, out):
+        (out / "report.html").mkdir()
+        assert f"{out / 'report.html'}: cannot be written (Is a directory)" in self.refusal(out)
+
+    def test_no_run_folder(self, out):
+        for name in ("manifest.json", "none"):
+            assert "no such folder, give a folder that a sweep has made" in self.refusal(out / name)
+
+
+def test_what_is_damaged_is_left_out_with_a_line(out, capsys):
+    frame = synthetic.episodes(seeds=4, errors=(0.0,), length=4, algos=("coach",))
+    corrections = synthetic.corrections(seeds=4, errors=(0.0,), algos=("coach",))
+    synthetic.write(out, frame, corrections, synthetic.manifest(frame))
+    for folder in ("episodes", "corrections"):
+        (out / folder / "1.parquet").rename(out / folder / "part-00001-0123456789ab.parquet")
+    (out / "corrections" / "part-00001-0123456789ab.parquet").write_bytes(b"")
+    summary = draw(out)
+    assert summary.missing == 2 and summary.study.groups[0].runs == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(
+        f"gpcjax: {out}: 1 damaged part left out, the same sweep computes what is missing again"
+    )
 
 
 def test_a_report_needs_neither_jax_nor_pyplot():

@@ -18,7 +18,7 @@ from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.runfolder import read_manifest
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.store import read_episodes
-from tests.sweep.test_store import rows
+from tests.sweep.pretended import rows
 
 SWEPT = tuple(part for part in PARTS if PARTS[part].experiments)
 EXPERIMENTS = [name for part in SWEPT for name in PARTS[part].experiments]

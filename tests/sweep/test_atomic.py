@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from gpcjax.sweep.atomic import atomic_path, write_atomic
+from gpcjax.sweep.atomic import atomic_path, clean, target_of, write_atomic
 
 
 def test_writes_text_and_bytes(tmp_path):
@@ -53,3 +53,33 @@ def test_permissions_follow_the_umask(tmp_path):
     write_atomic(tmp_path / "file", "text")
     (tmp_path / "other").write_text("text")
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+class TestClean:
+    def test_ours_go_at_once_others_when_they_are_old(self, tmp_path):
+        for name in (".a.0123456789ab.tmp", ".b.0123456789ab.tmp", ".c.0123456789ab.tmp"):
+            (tmp_path / name).touch()
+        os.utime(tmp_path / ".c.0123456789ab.tmp", (0, 0))
+        clean(tmp_path, lambda target: target == "a")
+        assert os.listdir(tmp_path) == [".b.0123456789ab.tmp"]
+
+    @pytest.mark.parametrize(
+        "name",
+        ["a", ".a.tmp", ".a.0123.tmp", "a.0123456789ab.tmp", ".a.0123456789AB.tmp", ".a.0123456789ab.tmp~"],
+    )
+    def test_what_is_not_of_our_form_stays(self, tmp_path, name):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (0, 0))
+        clean(tmp_path, lambda target: True)
+        assert os.listdir(tmp_path) == [name]
+
+    def test_what_cannot_be_removed_is_no_error(self, tmp_path):
+        (tmp_path / ".a.0123456789ab.tmp").mkdir()
+        clean(tmp_path, lambda target: True)
+        clean(tmp_path / "none", lambda target: True)
+        assert (tmp_path / ".a.0123456789ab.tmp").is_dir()
+
+    def test_it_knows_its_own(self, tmp_path):
+        with atomic_path(tmp_path / "a.b") as temporary:
+            temporary.touch()
+            assert target_of(temporary.name) == "a.b"

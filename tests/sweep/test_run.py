@@ -2,19 +2,28 @@
 
 import contextlib
 import json
+import os
+import re
+import shutil
 import signal
+import socket
+import subprocess
+import sys
 import time
 
+import pyarrow.parquet as pq
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.run import run, sweep
+from gpcjax.sweep.runfolder import FORMAT, tell, write_manifest
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store, read_episodes
-from tests.sweep.test_store import rows
+from tests.sweep.pretended import BASELINE, Pretended, rows
 
 SETTINGS = {
     "env": "cartpole",
@@ -25,32 +34,6 @@ SETTINGS = {
     "oracle": ["lqr"],
 }
 SPEC = spec_of(**SETTINGS)
-BASELINE = {"mean": 20.0, "std": 1.0, "n": 100}
-
-
-class Pretended:
-    """In place of `Executors`: hands in rows of all cells, or of some and then fails."""
-
-    def __init__(self, fails_after=None, error=KeyboardInterrupt):
-        self.fails_after, self.error, self.calls = fails_after, error, []
-
-    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
-        cells, baselines = list(cells), list(baselines)
-        self.calls.append((cells, baselines, jobs))
-        self.work = lambda: self._work(cells, baselines, on_rows, on_baseline, on_progress)
-        return self
-
-    def run(self):
-        self.work()
-
-    def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
-        for _, name in baselines:
-            on_baseline(name, BASELINE)
-        for index, cell in enumerate(cells):
-            if index == self.fails_after:
-                raise self.error
-            on_rows(rows(cell))
-            on_progress(Totals(env_steps=10 * (index + 1), episodes=3 * (index + 1), compile_seconds=2.0))
 
 
 @pytest.fixture
@@ -67,6 +50,14 @@ def manifest(out):
     return json.loads((out / "manifest.json").read_text())
 
 
+def parts(out):
+    return sorted((out / "episodes").glob("*.parquet"))
+
+
+def contents(out):
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+
 def test_a_whole_sweep(tmp_path, pretend):
     pretended = pretend()
     assert sweep(tmp_path / "deep" / "out", jobs=3, **SETTINGS) == tmp_path / "deep" / "out"
@@ -74,13 +65,15 @@ def test_a_whole_sweep(tmp_path, pretend):
     assert pretended.calls == [(plan(SPEC), [("cartpole", "idle"), ("cartpole", "lqr")], 3)]
     assert len(read_episodes(out)) == 12
     written = manifest(out)
-    assert written["complete"] and written["cells"] == 4 and written["jobs"] == 3 and written["format"] == 2
+    assert (
+        written["complete"] and written["cells"] == 4 and written["jobs"] == 3 and written["format"] == FORMAT
+    )
     assert written["baselines"] == {"idle": BASELINE, "oracles": {"lqr": BASELINE}}
     assert written["specification"]["error"] == [0, 0.1] and written["varying"] == []
     assert written["env_steps"] == 40 and written["compile_time_s"] == 2.0
     assert written["env_steps_per_s"] == pytest.approx(40 / written["wall_time_s"])
     assert {"jax", "jaxlib", "numpy", "gpcjax", "python"} <= written["versions"].keys()
-    assert written["machine"]["cores"] >= 1 and written["machine"]["platform"]
+    assert written["machine"] == machine.describe() and "further_machines" not in written
 
 
 def test_a_second_call_runs_nothing_and_writes_nothing(tmp_path, pretend):
@@ -161,7 +154,7 @@ def test_stopped_between_the_last_row_and_the_manifest(tmp_path, pretend):
     pretend()
     sweep(tmp_path, **SETTINGS)
     written = manifest(tmp_path) | {"complete": False, "baselines": {"idle": BASELINE, "oracles": {}}}
-    (tmp_path / "manifest.json").write_text(json.dumps(written))
+    write_manifest(tmp_path, written)
     pretended = pretend()
     sweep(tmp_path, **SETTINGS)
     assert pretended.calls == [([], [("cartpole", "lqr")], 1)]
@@ -182,17 +175,17 @@ def test_a_part_that_was_lost_is_run_again(tmp_path, pretend, monkeypatch):
 
 class TestOtherVersions:
     @pytest.fixture
-    def older(self, tmp_path, pretend):
+    def older(self, tmp_path, pretend, monkeypatch):
         """A run folder that an older jax has begun."""
 
         def make(fails_after):
             pretend(fails_after)
-            with contextlib.suppress(KeyboardInterrupt):
+            with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+                patch.setattr(run_module, "_versions", lambda: versions() | {"jax": "0.4.1"})
                 sweep(tmp_path, **SETTINGS)
-            written = manifest(tmp_path)
-            written["versions"]["jax"] = "0.4.1"
-            (tmp_path / "manifest.json").write_text(json.dumps(written))
             return pretend()
+
+        versions = run_module._versions
 
         return make
 
@@ -209,6 +202,177 @@ class TestOtherVersions:
         pretended = older(fails_after=None)
         run(SPEC, tmp_path, 1)
         assert not pretended.calls
+
+    def test_a_manifest_made_anew_says_which_versions_made_the_rows(self, tmp_path, older):
+        """Not those that find the parts: the rest of the rows would differ in the last bits."""
+        pretended = older(fails_after=2)
+        (tmp_path / "manifest.json").unlink()
+        with pytest.raises(UserError, match=r"it was begun with jax 0.4.1, this is .*: give a new folder"):
+            run(SPEC, tmp_path, 1)
+        assert not pretended.calls and len(parts(tmp_path)) == 1
+
+    def test_rows_of_other_versions_are_not_mixed_in(self, tmp_path, older, capsys):
+        """Whoever copies them into the folder of the same sweep."""
+        older(fails_after=None)
+        copy = tmp_path / "here"
+        pretended = older(fails_after=None)
+        sweep(copy, **SETTINGS)
+        for folder in ("episodes", "corrections"):
+            shutil.copytree(tmp_path / folder, copy / folder, dirs_exist_ok=True)
+        before = contents(copy)
+        run(SPEC, copy, 1)
+        assert len(pretended.calls) == 1 and len(read_episodes(copy, tell)) == 12
+        assert (
+            "here: not rows of this sweep, so neither read nor touched: 'episodes/part-"
+            in capsys.readouterr().err
+        )
+        assert contents(copy) == before
+
+
+class TestOtherMachines:
+    """The last bits of rows depend on what the processor can."""
+
+    def go_on_elsewhere(self, out, pretend, monkeypatch, **changes):
+        pretend(fails_after=2)
+        with contextlib.suppress(KeyboardInterrupt):
+            sweep(out, **SETTINGS)
+        here = machine.describe()
+        monkeypatch.setattr(machine, "describe", lambda: here | changes)
+        pretend()
+        sweep(out, **SETTINGS)
+        return here, manifest(out)
+
+    def test_another_kind_is_written_down_and_told(self, tmp_path, pretend, monkeypatch, capsys):
+        changes = {"vector_features": "sse", "cpu_model": "7 0"}
+        here, written = self.go_on_elsewhere(tmp_path, pretend, monkeypatch, **changes)
+        assert written["machine"] == here and written["further_machines"] == [here | changes]
+        line = f"{tmp_path}: begun on another kind of machine (cpu_model, vector_features): last bits may"
+        assert line in capsys.readouterr().err
+        told = {json.loads(pq.read_schema(path).metadata[b"gpcjax"])["machine"] for path in parts(tmp_path)}
+        assert told == {machine.kind_of(here), machine.kind_of(here | changes)} and len(told) == 2
+
+    def test_another_of_the_same_kind_is_not(self, tmp_path, pretend, monkeypatch, capsys):
+        """More cores and another kernel of Linux change no bit."""
+        here, written = self.go_on_elsewhere(tmp_path, pretend, monkeypatch, cores=64, platform="Linux-7")
+        assert written["machine"] == here and "further_machines" not in written
+        assert "machine" not in capsys.readouterr().err
+
+
+class TestOneWriter:
+    """A second sweep of a folder says who has it, and touches nothing."""
+
+    def test_while_a_sweep_runs_another_is_refused(self, tmp_path, pretend):
+        pretended, work = pretend(), Pretended._work
+        seen = []
+
+        def meet(*arguments):
+            before = contents(tmp_path)
+            code = f"import gpcjax.sweep.run as run; run.sweep({str(tmp_path)!r}, **{SETTINGS!r})"
+            other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+            seen.append((other.returncode, other.stderr.splitlines()[-1], contents(tmp_path) == before))
+            work(pretended, *arguments)
+
+        pretended._work = meet
+        sweep(tmp_path, **SETTINGS)
+        ((status, line, untouched),) = seen
+        assert status == 1 and untouched
+        assert re.fullmatch(
+            rf"gpcjax.errors.UserError: {tmp_path}: another sweep writes there "
+            rf"\(process {os.getpid()} on {re.escape(socket.gethostname())} since 20.*\): "
+            r"wait until it ends, or give a new folder \(--out\)",
+            line,
+        )
+        assert len(read_episodes(tmp_path)) == 12 and not (tmp_path / LOCK).exists()
+
+    def test_a_sweep_reads_the_folder_again_once_it_is_its_own(self, tmp_path, pretend, monkeypatch):
+        """Another has begun and ended there since it was looked at."""
+        pretended = pretend()
+
+        @contextlib.contextmanager
+        def late(out):
+            with monkeypatch.context() as patch:
+                patch.setattr(run_module, "held", contextlib.nullcontext)
+                sweep(out, **(SETTINGS | {"seeds": 3}))
+            yield
+
+        monkeypatch.setattr(run_module, "held", late)
+        with pytest.raises(UserError, match=r"it holds another specification \(seeds\)"):
+            sweep(tmp_path / "out", **SETTINGS)
+        assert len(pretended.calls) == 1
+
+
+class TestManifestMadeAnew:
+    @pytest.fixture
+    def half(self, tmp_path, pretend):
+        """A sweep that was stopped, and workers for the rest."""
+        pretend(fails_after=3)
+        with contextlib.suppress(KeyboardInterrupt):
+            sweep(tmp_path, **SETTINGS)
+        return pretend()
+
+    @pytest.mark.parametrize(
+        "text", ["", "{", "[]", "null", '{"format": 3}'], ids=["empty", "cut", "list", "null", "keys"]
+    )
+    def test_from_parts(self, tmp_path, half, capsys, text):
+        (tmp_path / "manifest.json").write_text(text)
+        sweep(tmp_path, **SETTINGS)
+        # What the manifest knew beside the rows is measured again.
+        assert half.calls == [(plan(SPEC)[3:], [("cartpole", "idle"), ("cartpole", "lqr")], 1)]
+        written = manifest(tmp_path)
+        assert written["complete"] and written["recovered"] and len(read_episodes(tmp_path)) == 12
+        line = f"{tmp_path / 'manifest.json'} was damaged and lies in {tmp_path / 'damaged'} now: made anew"
+        assert capsys.readouterr().err.count(line) == 1
+        assert (tmp_path / "damaged" / "manifest.json").read_text() == text
+
+    def test_where_there_is_none(self, tmp_path, half, capsys):
+        (tmp_path / "manifest.json").unlink()
+        sweep(tmp_path, **SETTINGS)
+        assert half.calls[0][0] == plan(SPEC)[3:]
+        assert f"{tmp_path / 'manifest.json'} is missing: made anew" in capsys.readouterr().err
+
+    def test_not_for_another_sweep(self, tmp_path, half):
+        (tmp_path / "manifest.json").unlink()
+        before = contents(tmp_path)
+        with pytest.raises(UserError, match="it holds rows of another sweep and no manifest"):
+            sweep(tmp_path, **(SETTINGS | {"seeds": 3}))
+        assert not half.calls and contents(tmp_path) == before
+
+
+def test_the_files_of_others_stay(tmp_path, pretend, capsys):
+    """Beside our parts, in the run folder and anywhere below it."""
+    pretend(fails_after=3)
+    with contextlib.suppress(KeyboardInterrupt):
+        sweep(tmp_path, **SETTINGS)
+    names = [
+        "notes.txt",
+        "episodes/my_data.json",
+        "episodes/.hidden",
+        "corrections/mine.parquet",
+        "episodes/deep/a",
+    ]
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("mine")
+    pretended = pretend()
+    sweep(tmp_path, **SETTINGS)
+    assert pretended.calls[0][0] == plan(SPEC)[3:] and len(read_episodes(tmp_path, tell)) == 12
+    assert all((tmp_path / name).read_text() == "mine" for name in names)
+    line = f"gpcjax: {tmp_path}: not rows of this sweep, so neither read nor touched: 'episodes/.hidden' and 3 more"
+    assert capsys.readouterr().err.splitlines().count(line) == 2  # of the sweep and of the reading
+
+
+def test_what_kills_leave_is_removed(tmp_path, pretend):
+    pretend(fails_after=2)
+    with contextlib.suppress(KeyboardInterrupt):
+        sweep(tmp_path, **SETTINGS)
+    (part,) = parts(tmp_path)
+    for name in (".manifest.json", f"episodes/.{part.name}", f"corrections/.{part.name}"):
+        for number in range(3):
+            (tmp_path / f"{name}.{number:012x}.tmp").write_text("half")
+    (tmp_path / ".gpcjax.lock").write_text('{"pid": 1}')
+    pretend()
+    sweep(tmp_path, **SETTINGS)
+    assert not [path for path in tmp_path.rglob(".*")]
 
 
 @pytest.mark.parametrize(

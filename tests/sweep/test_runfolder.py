@@ -3,17 +3,23 @@ import json
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import specification_hash
-from gpcjax.sweep.runfolder import FORMAT, check_report, check_sweep, make_writable, read_manifest
-from gpcjax.sweep.spec import as_dict, spec_of
+from gpcjax.sweep.runfolder import (
+    FORMAT,
+    UNSEALED,
+    check_report,
+    check_sweep,
+    make_writable,
+    parse_part,
+    part_name,
+    read_manifest,
+    set_aside,
+)
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.folders import begun
 
 SPEC = spec_of(env="cartpole", error=[0, 0.1])
-
-
-def write_manifest(out, spec=SPEC, **change):
-    out.mkdir(parents=True, exist_ok=True)
-    manifest = {"format": FORMAT, "hash": specification_hash(spec), "specification": as_dict(spec)} | change
-    (out / "manifest.json").write_text(json.dumps(manifest))
 
 
 def refusal(function, *arguments):
@@ -30,7 +36,7 @@ def test_a_new_folder_will_do(tmp_path):
 
 
 def test_the_same_sweep_goes_on_in_its_folder(tmp_path):
-    write_manifest(tmp_path)
+    begun(tmp_path, SPEC)
     (tmp_path / "episodes").mkdir()
     (tmp_path / "report.html").touch()
     check_sweep(tmp_path, SPEC)
@@ -39,12 +45,54 @@ def test_the_same_sweep_goes_on_in_its_folder(tmp_path):
 
 def test_what_a_kill_left_before_the_manifest_is_no_hindrance(tmp_path):
     (tmp_path / "episodes").mkdir()
-    (tmp_path / ".manifest.json.0123.tmp").touch()
+    (tmp_path / ".manifest.json.0123456789ab.tmp").touch()
+    (tmp_path / LOCK).touch()
     check_sweep(tmp_path, SPEC)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "thesis.tex",
+        ".hidden",
+        "episodes/my_data.json",
+        "corrections/.x.tmp",
+        "episodes/deep/er",
+        "notes/a",
+        "report.html",
+        "damaged/episodes/x",
+        f"episodes/part-00000-{'0' * 12}-{'0' * 32}.parquet",
+        f"episodes/part-00000-{'0' * 12}.parquet",
+    ],
+)
+def test_without_a_manifest_a_folder_must_be_empty(tmp_path, name):
+    """Whatever it holds is not ours."""
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("mine")
+    message = refusal(check_sweep, tmp_path, SPEC)
+    assert message.startswith(f"{tmp_path}: it holds ") and message.endswith("(--out)")
+    assert "\n" not in message and path.read_text() == "mine"
+
+
+def test_without_a_manifest_a_part_can_say_whose_it_is(tmp_path):
+    part = tmp_path / "episodes" / part_name(3, specification_hash(SPEC), b"rows")
+    part.parent.mkdir()
+    part.write_bytes(b"rows")
+    (tmp_path / "report.html").touch()
+    check_sweep(tmp_path, SPEC)
+    other = spec_of(env="cartpole", error=[0, 0.2])
+    assert "it holds rows of another sweep and no manifest" in refusal(check_sweep, tmp_path, other)
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused(tmp_path):
+    begun(tmp_path, SPEC)
+    (tmp_path / "episodes").touch()
+    assert f"{tmp_path / 'episodes'}: this is no folder" in refusal(check_sweep, tmp_path, SPEC)
+
+
 def test_another_sweep_is_refused_with_what_differs(tmp_path):
-    write_manifest(tmp_path)
+    begun(tmp_path, SPEC)
     message = refusal(check_sweep, tmp_path, spec_of(env="cartpole", error=[0, 0.2], seeds=3))
     assert f"{tmp_path}: it holds another specification (error, seeds), give a new folder" in message
 
@@ -81,14 +129,130 @@ def test_a_broken_manifest_is_refused(tmp_path, text):
 
 def test_a_manifest_of_another_format_is_refused(tmp_path):
     """Format 1 lacks columns that rows have now."""
-    write_manifest(tmp_path, format=1)
-    assert "format 1 is not known, this version reads format 2" in refusal(read_manifest, tmp_path)
+    for version in (1, 4):
+        begun(tmp_path, SPEC, format=version)
+        message = f"format {version} is not known, this version reads the formats 2 and 3"
+        assert message in refusal(read_manifest, tmp_path)
+
+
+def texts(folder, **changes):
+    """The manifest as it is written; of format 2 without its sum."""
+    path = begun(folder, SPEC, **changes) / "manifest.json"
+    if changes.get("format") == UNSEALED:
+        written = json.loads(path.read_text())
+        del written["sha256"]
+        path.write_text(json.dumps(written, indent=2))
+    return path, path.read_text()
+
+
+BASELINES = {
+    "idle": {"mean": 20.25, "std": 1.5, "n": 100},
+    "oracles": {"lqr": {"mean": 2500.0, "std": 0.0, "n": 100}},
+}
+
+
+def test_any_change_of_a_manifest_is_seen(tmp_path):
+    """A bit anywhere that changes what it says."""
+    path, text = texts(tmp_path, baselines=BASELINES)
+    content, changed = read_manifest(tmp_path), 0
+    data = text.encode()
+    for position in range(len(data)):
+        bit = 1 << (position % 8)
+        path.write_bytes(data[:position] + bytes([data[position] ^ bit]) + data[position + 1 :])
+        try:
+            assert read_manifest(tmp_path) == content  # white space became other white space
+        except UserError as error:
+            changed += 1
+            assert "\n" not in str(error)
+    assert changed > 0.6 * len(data)
+
+
+@pytest.mark.parametrize("version", [UNSEALED, FORMAT])
+@pytest.mark.parametrize("value", [None, "7", [], {"a": 1}, "absent"], ids=repr)
+def test_a_key_that_is_missing_or_something_else_is_one_line(tmp_path, version, value):
+    path, text = texts(tmp_path, format=version, baselines=BASELINES)
+    written = json.loads(text)
+    for name in written:
+        edited = {key: each for key, each in written.items() if key != name or value != "absent"}
+        if value != "absent":
+            edited[name] = value
+        if edited == written:
+            continue
+        path.write_text(json.dumps(edited))
+        for function, arguments in ((read_manifest, ()), (check_report, ()), (check_sweep, (SPEC,))):
+            try:
+                function(tmp_path, *arguments)
+            except UserError as error:
+                assert "\n" not in str(error)
+            else:
+                # Format 2 has no sum: of what needs none of its kind some things pass.
+                assert version == UNSEALED and name in ("versions", "machine", "varying", "sha256")
+
+
+@pytest.mark.parametrize(
+    "baselines", [[], {}, {"idle": 1, "oracles": {}}, {"idle": None, "oracles": {"lqr": {"mean": 1}}}]
+)
+def test_baselines_of_format_2_have_their_form(tmp_path, baselines):
+    texts(tmp_path, format=UNSEALED, baselines=baselines)
+    assert "manifest.json: it" in refusal(read_manifest, tmp_path)
+
+
+def test_the_specification_of_format_2_is_checked_by_its_hash(tmp_path):
+    path, text = texts(tmp_path, format=UNSEALED)
+    read_manifest(tmp_path)
+    path.write_text(text.replace("0.1", "0.3"))
+    assert "its hash is not that of its specification" in refusal(read_manifest, tmp_path)
+
+
+def test_a_damaged_manifest_beside_parts_that_say_whose_they_are(tmp_path):
+    path, _ = texts(tmp_path)
+    path.write_text("{")
+    message = "no part beside it says to be of this sweep: restore it, or give a new folder"
+    assert message in refusal(check_sweep, tmp_path, SPEC)
+    part = tmp_path / "episodes" / part_name(0, specification_hash(SPEC), b"rows")
+    part.parent.mkdir()
+    part.write_bytes(b"rows")
+    check_sweep(tmp_path, SPEC)
+    assert message in refusal(check_sweep, tmp_path, spec_of(env="cartpole", error=[0, 0.2]))
+
+
+def test_a_manifest_is_read_and_checked_by_any_text_of_the_same_content(tmp_path):
+    """Whoever lays it out anew, or sorts its keys, has damaged nothing."""
+    path, text = texts(tmp_path, baselines=BASELINES)
+    content = read_manifest(tmp_path)
+    path.write_text(json.dumps(json.loads(text), sort_keys=True))
+    assert read_manifest(tmp_path) == content
+
+
+class TestSettingAside:
+    def test_nothing_is_lost(self, tmp_path):
+        for text in ("one", "two", "three"):
+            (tmp_path / "episodes").mkdir(exist_ok=True)
+            (tmp_path / "episodes" / "a").write_text(text)
+            set_aside(tmp_path, tmp_path / "episodes" / "a", tmp_path / "episodes" / "missing")
+        kept = {path.name: path.read_text() for path in (tmp_path / "damaged" / "episodes").iterdir()}
+        assert kept == {"a": "one", "a.1": "two", "a.2": "three"}
+        assert not list((tmp_path / "episodes").iterdir())
+
+
+@pytest.mark.parametrize("name", ["part-00001-0123456789ab.parquet", part_name(7, "0" * 12, b"")])
+def test_names_of_parts(name):
+    part = parse_part(name)
+    assert part is not None and part.number in (1, 7) and len(part.digest) in (0, 32)
+    for other in (
+        f"x{name}",
+        f"{name}.tmp",
+        f".{name}",
+        name.upper(),
+        name.replace(".parquet", " (copy).parquet"),
+    ):
+        assert parse_part(other) is None
 
 
 def test_report_needs_episodes(tmp_path):
     assert "no such folder" in refusal(check_report, tmp_path / "none")
     assert "manifest.json: cannot be read" in refusal(check_report, tmp_path)
-    write_manifest(tmp_path)
+    begun(tmp_path, SPEC)
     assert "it holds no episodes yet" in refusal(check_report, tmp_path)
     (tmp_path / "episodes").mkdir()
     (tmp_path / "episodes" / "0.parquet").touch()

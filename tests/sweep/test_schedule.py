@@ -29,7 +29,8 @@ def stored(tmp_path):
             frame = synthetic.episodes(algos=("gpc",), errors=(0.1,), seeds=seeds, length=episodes)
         frame["chance"] = chances[frame["seed"], frame["episode"] - 1]
         frame = frame.sample(frac=1, random_state=0)  # the order of arrival does not matter
-        corrections = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=seeds)
+        corrections = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=seeds).iloc[:0]
+        corrections = corrections.assign(**dict.fromkeys(varying, 0.0))
         return synthetic.write(
             tmp_path / "run", frame, corrections, synthetic.manifest(frame, varying, **manifest)
         )
@@ -58,11 +59,20 @@ class TestOfferedRates:
     def test_a_run_that_stopped_early_counts_while_it_ran(self, stored):
         frame = synthetic.episodes(algos=("gpc",), errors=(0.1,), seeds=2, length=3)
         frame = frame[(frame["seed"] == 0) | (frame["episode"] == 1)]
+        frame = frame.assign(status=frame["seed"].map({0: "ok", 1: "full"}))
         rates = offered_rates(stored([[0.5, 0.2, 0.1], [0.3, 9, 9]], frame))
         assert rates == pytest.approx((0.4, 0.2, 0.1))
 
     def test_an_incomplete_sweep_is_refused(self, stored):
         out = stored([[0.5]], complete=False)
+        with pytest.raises(UserError, match=f"{out}: this sweep is not complete, run it to its end first"):
+            offered_rates(out)
+
+    def test_one_that_lost_a_part_is_refused(self, stored):
+        """The means over the rest would be another schedule."""
+        out = stored([[0.5, 0.2], [0.3, 0.4]])
+        offered_rates(out)
+        (out / "episodes" / "1.parquet").unlink()
         with pytest.raises(UserError, match=f"{out}: this sweep is not complete, run it to its end first"):
             offered_rates(out)
 

@@ -1,17 +1,27 @@
 """The store: parts that are whole or absent, and frames with the promised columns."""
 
 import dataclasses
+import errno
+import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import gpcjax
+from gpcjax.errors import UserError
 from gpcjax.sweep import store as store_module
-from gpcjax.sweep.plan import plan, varying
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.runfolder import read_manifest, write_manifest
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import CellRows, Store, read_corrections, read_episodes
+from gpcjax.sweep.store import Store, read_corrections, read_episodes
+from tests import torture
+from tests.sweep.folders import begun, manifest_of
+from tests.sweep.pretended import rows
 
 SPEC = spec_of(env="cartpole", algo=["gpc", "coach"], error=[0, 0.1], seeds=2, episodes=3, oracle="lqr")
 EPISODE_COLUMNS = {
@@ -33,6 +43,7 @@ EPISODE_COLUMNS = {
     "full": "int32",
     "status": "str",
 }
+EPISODE_NAMES = list(EPISODE_COLUMNS)
 CORRECTION_COLUMNS = {
     **{name: EPISODE_COLUMNS[name] for name in ("env", "algo", "oracle", "error", "seed", "episode")},
     **{
@@ -46,27 +57,19 @@ CORRECTION_COLUMNS = {
 }
 
 
-def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
-    """Numbers that tell the cell and the episode."""
-    mark = 10.0 * cell.seed + 100 * cell.error
-    counts = np.arange(episodes, dtype=np.int32)
-    integers = {
-        name: counts + i
-        for i, name in enumerate(("length", "policy_points", "human_points", "clipped", "full"))
-    }
-    measured = {"returns": mark + counts, "corrections": counts, "rate_sum": 0.5 * counts, **integers}
-    measured |= {"asked": 2 * counts, "chance_sum": 0.25 * counts}
-    sigmas = [np.nan, np.nan] if cell.algo == "coach" else [0.2, 0.3]
-    log = {
-        "where": np.array([[0, step, 0] for step in range(corrections)], np.int32).reshape(-1, 3),
-        "values": np.array([[mark, *sigmas]] * corrections).reshape(-1, 3),
-        "outcome": np.array([[True, False, False]] * corrections, bool).reshape(-1, 3),
-    }
-    return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log)
+def opened(out, spec=SPEC, say=None):
+    """The store of a folder, which is begun if nobody has."""
+    if not (out / "manifest.json").exists():
+        begun(out, spec)
+    return Store(out, read_manifest(out), say=say or refuse)
+
+
+def refuse(line):
+    raise AssertionError(f"nothing was to be said, but: {line}")
 
 
 def filled(out, spec=SPEC, cells=None):
-    store = Store(out, varying(spec))
+    store = opened(out, spec)
     store.append([rows(cell) for cell in (plan(spec) if cells is None else cells)])
     return store
 
@@ -125,11 +128,11 @@ class TestReading:
 
     def test_a_cell_that_stopped_has_fewer_episodes_and_says_why(self, tmp_path):
         cell = plan(SPEC)[0]
-        Store(tmp_path, []).append([rows(cell, episodes=2, status="full")])
+        opened(tmp_path).append([rows(cell, episodes=2, status="full")])
         assert read_episodes(tmp_path)["status"].tolist() == ["ok", "full"]
 
     def test_a_cell_without_corrections(self, tmp_path):
-        Store(tmp_path, []).append([rows(plan(SPEC)[0], corrections=0)])
+        opened(tmp_path).append([rows(plan(SPEC)[0], corrections=0)])
         assert (
             len(read_corrections(tmp_path)) == 0
             and kinds(read_corrections(tmp_path)).keys() == CORRECTION_COLUMNS.keys()
@@ -173,17 +176,223 @@ class TestReading:
         with pytest.raises(ValueError, match=r"manifest.json: cannot be read"):
             gpcjax.load(tmp_path)
 
+    def test_corrections_of_ones_own(self, tmp_path):
+        filled(tmp_path)
+        pd.testing.assert_frame_equal(gpcjax.load(tmp_path), read_episodes(tmp_path))
+        pd.testing.assert_frame_equal(gpcjax.load_corrections(tmp_path), read_corrections(tmp_path))
+        begun(tmp_path / "new", SPEC)
+        for load in (gpcjax.load, gpcjax.load_corrections):
+            with pytest.raises(ValueError, match="it holds no episodes yet"):
+                load(tmp_path / "new")
+
+    @pytest.mark.parametrize("load", [gpcjax.load, gpcjax.load_corrections])
+    def test_every_column_is_described(self, tmp_path, load):
+        filled(tmp_path)
+        described = {
+            name
+            for line in load.__doc__.splitlines()
+            if "|" in line
+            for name in re.findall(r"\w+", line.split("|")[1])
+        }
+        assert set(load(tmp_path).columns) <= described
+
+
+class TestDamage:
+    """Found by whoever reads, set aside by the sweep; `tests/torture.py` has more of it."""
+
+    @pytest.fixture
+    def spoiled(self, tmp_path):
+        """A store with a part for each cell, the third one's corrections with a flipped bit."""
+        for cell in plan(SPEC):
+            filled(tmp_path, cells=[cell])
+        path = sorted((tmp_path / "corrections").iterdir())[2]
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 4
+        path.write_bytes(data)
+        return path
+
+    def test_a_reader_is_warned_and_gets_the_rest(self, tmp_path, spoiled):
+        message = (
+            rf"{tmp_path}: 1 damaged part left out, .* \(corrections/{spoiled.name}: its checksum differs\)"
+        )
+        with pytest.warns(UserWarning, match=message):
+            frame = gpcjax.load(tmp_path)
+        assert len(frame) == 7 * 3
+        with pytest.warns(UserWarning, match=message):
+            assert len(gpcjax.load_corrections(tmp_path)) == 7 * 2
+
+    def test_the_sweep_sets_both_files_aside(self, tmp_path, spoiled):
+        before = {
+            folder: (tmp_path / folder / spoiled.name).read_bytes() for folder in ("episodes", "corrections")
+        }
+        said = []
+        assert opened(tmp_path, say=said.append).missing(plan(SPEC)) == plan(SPEC)[2:3]
+        (line,) = said
+        assert line.startswith(
+            f"{tmp_path}: 1 damaged part moved to {tmp_path / 'damaged'}, what is missing runs again"
+        )
+        for folder, content in before.items():
+            assert (tmp_path / "damaged" / folder / spoiled.name).read_bytes() == content
+            assert not (tmp_path / folder / spoiled.name).exists()
+        filled(tmp_path, cells=plan(SPEC)[2:3])
+        assert len(read_episodes(tmp_path)) == 24 and opened(tmp_path).missing(plan(SPEC)) == []
+
+    def test_several_are_one_line(self, tmp_path, spoiled):
+        for path in list((tmp_path / "episodes").iterdir())[:5]:
+            path.write_bytes(b"")
+        said = []
+        opened(tmp_path, say=said.append).missing(plan(SPEC))
+        assert len(said) == 1 and " damaged parts moved to " in said[0]
+
+    def test_where_nothing_is_whole_reading_is_refused(self, tmp_path):
+        filled(tmp_path)
+        (part,) = (tmp_path / "episodes").iterdir()
+        part.write_bytes(part.read_bytes()[:-1])
+        with pytest.raises(ValueError, match=rf"{tmp_path}: none of its rows is whole \(episodes/part-"):
+            gpcjax.load(tmp_path)
+
+    def test_a_part_that_was_copied_is_read_once(self, tmp_path):
+        """From another folder of the same sweep, where the same cells lie in other parts."""
+        one, other = tmp_path / "one", tmp_path / "other"
+        cells = plan(SPEC)
+        filled(one, cells=cells)
+        filled(other, cells=cells[2:4])
+        filled(other, cells=cells[5:6])
+        expected = read_episodes(one), read_corrections(one)
+        for folder in ("episodes", "corrections"):
+            shutil.copytree(other / folder, one / folder, dirs_exist_ok=True)
+        with pytest.warns(UserWarning, match=r"3 cells are there twice, the rows of the first part count"):
+            got = store_module.read(one)
+        for frame, whole in zip(got, expected, strict=False):
+            pd.testing.assert_frame_equal(frame, whole)
+
+    def test_pages_have_sums_of_their_own(self, tmp_path):
+        """For whoever reads a part of a part."""
+        filled(tmp_path)
+        (part,) = (tmp_path / "episodes").iterdir()
+        column = pq.ParquetFile(part).metadata.row_group(0).column(EPISODE_NAMES.index("return"))
+        data = bytearray(part.read_bytes())
+        data[column.data_page_offset + column.total_compressed_size // 2] ^= 1
+        with pytest.raises(OSError, match=r"(?i)crc|checksum"):
+            pq.ParquetFile(pa.BufferReader(bytes(data)), page_checksum_verification=True).read()
+
+    def test_a_file_that_may_not_be_read_is_not_damaged(self, tmp_path, monkeypatch):
+        filled(tmp_path)
+
+        def denied(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+        monkeypatch.setattr(Path, "read_bytes", denied)
+        with pytest.raises(UserError, match=r"part-.*\.parquet: cannot be read \(Permission denied\)"):
+            store_module.Store(tmp_path, manifest_of(SPEC)).missing(plan(SPEC))
+        assert not (tmp_path / "damaged").exists()
+
+    def test_a_reader_beside_a_writer_sees_whole_parts(self, tmp_path):
+        """At any moment between its files, and when it sets one aside."""
+        store, cells, seen = opened(tmp_path), plan(SPEC), []
+        write = store_module.write_atomic
+
+        def looked(path, data):
+            seen.append((len(read_episodes(tmp_path, refuse)), len(read_corrections(tmp_path, refuse))))
+            write(path, data)
+            seen.append((len(read_episodes(tmp_path, refuse)), len(read_corrections(tmp_path, refuse))))
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(store_module, "write_atomic", looked)
+            for cell in cells[:2]:
+                store.append([rows(cell)])
+        assert seen == [(0, 0), (0, 0), (0, 0), (3, 2), (3, 2), (3, 2), (3, 2), (6, 4)]
+
+
+class TestFormat2:
+    """Stores without sums are read, checked as far as that goes, and continued."""
+
+    @pytest.fixture
+    def old(self, tmp_path):
+        """As an older version left it, with a cell still missing; and the rows of all."""
+        whole = tmp_path / "whole"
+        for cell in plan(SPEC):
+            filled(whole, cells=[cell])
+        out = torture.unsealed(tmp_path / "old", whole)
+        for folder in ("episodes", "corrections"):
+            max((out / folder).iterdir()).unlink()
+        return out, whole
+
+    def test_it_goes_on(self, old):
+        out, whole = old
+        assert len(read_episodes(out)) == 7 * 3
+        store = opened(out)
+        (missing,) = store.missing(plan(SPEC))
+        before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
+        store.append([rows(missing)])
+        assert opened(out).missing(plan(SPEC)) == []
+        for read in (read_episodes, read_corrections):
+            pd.testing.assert_frame_equal(read(out), read(whole))
+        assert all(path.read_bytes() == content for path, content in before.items())
+
+    def test_once_gone_on_its_manifest_is_checked(self, old):
+        out, _ = old
+        write_manifest(out, read_manifest(out))
+        text = (out / "manifest.json").read_text()
+        assert read_manifest(out)["format"] == 2  # the older version can read it, too
+        (out / "manifest.json").write_text(text.replace('"jobs": 0', '"jobs": 1'))
+        with pytest.raises(UserError, match="it is not as it was written"):
+            read_manifest(out)
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (lambda frame: frame.assign(error=0.3), "it has error 0.3, which is not in the specification"),
+            (lambda frame: frame.assign(seed=7), "it has seed 7, which is not in the specification"),
+            (lambda frame: frame.assign(algo="gpd"), "it has algo 'gpd'"),
+            (lambda frame: frame.iloc[:2], "it has a run without its last episodes"),
+            (lambda frame: frame.iloc[1:], "it has a run whose episodes are not 1, 2, 3"),
+            (lambda frame: pd.concat([frame, frame]), "it has a run whose episodes are not 1, 2, 3"),
+            (
+                lambda frame: frame.assign(status=["full", "ok", "ok"]),
+                "it has a run that goes on after its end",
+            ),
+            (lambda frame: frame.drop(columns="chance"), "it has no column chance"),
+            (lambda frame: frame.assign(length=0), "it has episodes without a step"),
+        ],
+    )
+    def test_rows_that_cannot_be_of_the_sweep(self, old, change, message):
+        out, _ = old
+        path = min((out / "episodes").iterdir())
+        change(pd.read_parquet(path)).to_parquet(path, index=False)
+        with pytest.warns(
+            UserWarning, match=rf"1 damaged part left out, .* \(episodes/{path.name}: {re.escape(message)}"
+        ):
+            assert len(gpcjax.load(out)) == 6 * 3
+
+    def test_corrections_of_other_cells(self, old):
+        out, _ = old
+        first, second = sorted((out / "corrections").iterdir())[:2]
+        first.write_bytes(second.read_bytes())
+        with pytest.warns(UserWarning, match="it has corrections of cells that its episodes have not"):
+            gpcjax.load(out)
+
+    def test_a_table_of_somebody_else_is_left_alone(self, old):
+        out, _ = old
+        pd.DataFrame({"mine": [1]}).to_parquet(out / "episodes" / "mine.parquet")
+        said = []
+        store = opened(out, say=said.append)
+        assert len(store.missing(plan(SPEC))) == 1 and (out / "episodes" / "mine.parquet").exists()
+        assert said == [
+            f"{out}: not rows of this sweep, so neither read nor touched: 'episodes/mine.parquet'"
+        ]
+
 
 class TestGoingOn:
     def test_everything_is_missing_at_first(self, tmp_path):
-        assert Store(tmp_path, []).missing(plan(SPEC)) == plan(SPEC)
+        assert opened(tmp_path).missing(plan(SPEC)) == plan(SPEC)
 
     def test_what_is_stored_is_not_missing(self, tmp_path):
         cells = plan(SPEC)
         store = filled(tmp_path, cells=cells[:3])
         assert store.missing(cells) == cells[3:]
         store.append([rows(cell) for cell in cells[3:]])
-        assert Store(tmp_path, []).missing(cells) == []
+        assert opened(tmp_path).missing(cells) == []
 
     def test_cells_that_differ_in_a_varying_setting_are_told_apart(self, tmp_path):
         spec = spec_of(
@@ -191,45 +400,43 @@ class TestGoingOn:
         )
         cells = plan(spec)
         for some in (cells[::2], cells[1::2]):
-            missing = Store(tmp_path, varying(spec)).missing(cells)
+            missing = opened(tmp_path, spec).missing(cells)
             assert [cell for cell in cells if cell in some] == [cell for cell in missing if cell in some]
             filled(tmp_path, spec, some)
-        assert Store(tmp_path, varying(spec)).missing(cells) == []
+        assert opened(tmp_path, spec).missing(cells) == []
 
     def test_an_interrupted_part_is_removed(self, tmp_path):
         """Corrections without episodes, and files that never got their names."""
         cells = plan(SPEC)
-        store = filled(tmp_path, cells=cells[:2])
-        whole = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.parquet")}
-        for name in (
-            "corrections/part-00001-7.parquet",
-            "corrections/.x.tmp",
-            "episodes/.part-00001-7.parquet.0a.tmp",
-        ):
-            (tmp_path / name).write_bytes(b"half")
+        filled(tmp_path, cells=cells[:2])
+        before = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
+        store = filled(tmp_path, cells=cells[2:4])
+        part = max((tmp_path / "episodes").iterdir())
+        part.rename(part.with_name(f".{part.name}.0123456789ab.tmp"))
+        (tmp_path / ".manifest.json.0123456789ab.tmp").write_bytes(b"half")
         assert store.missing(cells) == cells[2:]
-        assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == whole
+        assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == before
 
     @pytest.mark.parametrize("call", [1, 2])
     def test_a_write_that_fails_leaves_no_half_part(self, tmp_path, monkeypatch, call):
         """Before or between the two files: the cells stay missing, and can be written later."""
         cells = plan(SPEC)
-        store, calls, write = filled(tmp_path, cells=cells[:2]), [], pq.write_table
+        store, calls, write = filled(tmp_path, cells=cells[:2]), [], store_module.write_atomic
 
-        def fail(table, path):
+        def fail(path, data):
             calls.append(path)
-            write(table, path)
             if len(calls) == call:
                 raise OSError("no space left")
+            write(path, data)
 
         with monkeypatch.context() as patch:
-            patch.setattr(store_module.pq, "write_table", fail)
+            patch.setattr(store_module, "write_atomic", fail)
             with pytest.raises(OSError, match="no space left"):
                 store.append([rows(cells[2])])
         assert len(read_episodes(tmp_path)) == 6
         assert store.missing(cells) == cells[2:]
         store.append([rows(cell) for cell in cells[2:]])
-        assert Store(tmp_path, []).missing(cells) == []
+        assert opened(tmp_path).missing(cells) == []
         assert len(read_episodes(tmp_path)) == 24 and len(read_corrections(tmp_path)) == 16
 
     def test_parts_are_never_written_over(self, tmp_path):
@@ -244,7 +451,7 @@ class TestGoingOn:
         assert episodes == corrections
 
     def test_nothing_to_write(self, tmp_path):
-        Store(tmp_path, []).append([])
+        opened(tmp_path).append([])
         assert not list(tmp_path.rglob("*.parquet"))
         assert read_episodes(tmp_path).empty
 

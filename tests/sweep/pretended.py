@@ -1,0 +1,52 @@
+"""Rows that no engine made, and workers that hand them in. Loads no jax."""
+
+import numpy as np
+
+from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.store import CellRows
+
+BASELINE = {"mean": 20.0, "std": 1.0, "n": 100}
+
+
+def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
+    """Numbers that tell the cell and the episode."""
+    mark = 10.0 * cell.seed + 100 * cell.error
+    counts = np.arange(episodes, dtype=np.int32)
+    integers = {
+        name: counts + i
+        for i, name in enumerate(("length", "policy_points", "human_points", "clipped", "full"), start=1)
+    }
+    measured = {"returns": mark + counts, "corrections": counts, "rate_sum": 0.5 * counts, **integers}
+    measured |= {"asked": 2 * counts, "chance_sum": 0.25 * counts}
+    sigmas = [np.nan, np.nan] if cell.algo == "coach" else [0.2, 0.3]
+    log = {
+        "where": np.array([[0, step, 0] for step in range(corrections)], np.int32).reshape(-1, 3),
+        "values": np.array([[mark, *sigmas]] * corrections).reshape(-1, 3),
+        "outcome": np.array([[True, False, False]] * corrections, bool).reshape(-1, 3),
+    }
+    return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log)
+
+
+class Pretended:
+    """In place of `Executors`: hands in rows of all cells, or of some and then fails."""
+
+    def __init__(self, fails_after=None, error=KeyboardInterrupt):
+        self.fails_after, self.error, self.calls = fails_after, error, []
+
+    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
+        cells, baselines = list(cells), list(baselines)
+        self.calls.append((cells, baselines, jobs))
+        self.work = lambda: self._work(cells, baselines, on_rows, on_baseline, on_progress)
+        return self
+
+    def run(self):
+        self.work()
+
+    def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
+        for _, name in baselines:
+            on_baseline(name, BASELINE)
+        for index, cell in enumerate(cells):
+            if index == self.fails_after:
+                raise self.error
+            on_rows(rows(cell))
+            on_progress(Totals(env_steps=10 * (index + 1), episodes=3 * (index + 1), compile_seconds=2.0))
