@@ -61,7 +61,8 @@ def test_solve() -> None:
     for n in (1, 2, 6):
         root = rng.normal(size=(n, n))
         matrix, right = root @ root.T + 0.1 * np.eye(n), rng.normal(size=n)
-        np.testing.assert_allclose(solve(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9)
+        got = solve(jnp.asarray(matrix), jnp.asarray(right))
+        np.testing.assert_allclose(got, np.linalg.solve(matrix, right), rtol=1e-9)
 
 
 def test_it_swings_up_as_well_as_the_energy_controller(expert_returns: Returns, starts: Starts) -> None:
