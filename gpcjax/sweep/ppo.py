@@ -9,6 +9,7 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
@@ -137,7 +138,7 @@ def _train(env: Env, training: Training, key: PRNGKeyArray) -> tuple[Parameters,
     state = jax.vmap(env.reset)(jax.random.split(key_start, training.lanes))
     # Lanes end their first episodes at different times, so that every batch has steps from all of an episode.
     age = jax.random.randint(key_age, (training.lanes,), 0, env.max_steps, jnp.int32)
-    state = dataclasses.replace(state, time=age)
+    state = eqx.tree_at(lambda state: state.time, state, age)
     carry = (parameters, optimiser.init(parameters), state)
     (parameters, _, _), rewards = lax.scan(update, carry, jax.random.split(key_updates, training.updates))
     return parameters, rewards
@@ -218,7 +219,15 @@ def _layers(key: PRNGKeyArray, sizes: Sequence[int], last: float) -> Layers:
 
 
 def _forward(layers: Layers, units: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
-    *hidden, (weights, biases) = layers
-    for w, b in hidden:
-        units = tanh(units @ w.T + b)
-    return units @ weights.T + biases
+    *hidden, last = layers
+    for layer in hidden:
+        units = tanh(_affine(layer, units))
+    return _affine(last, units)
+
+
+def _affine(
+    layer: tuple[Array, Array], units: Float[Array, "*batch inputs"]
+) -> Float[Array, "*batch outputs"]:
+    weights, biases = layer
+    product = units @ weights.T
+    return product + jnp.broadcast_to(biases, product.shape)

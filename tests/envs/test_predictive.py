@@ -35,12 +35,13 @@ def test_the_residuals_are_those_of_the_simulated_plan() -> None:
     planner = CartPoleMPC(env, end_weight=7.0, holds=(2, 3))
     state = env.reset(jax.random.key(1))
     q, cost = np.array([1.0, 1.0, 10.0, 1.0]), 0.0
-    obs = state.obs
+    obs, move = state.obs, jax.jit(env.step)
     for action in (0.3, 0.3, -0.2, -0.2, -0.2):
         cost += q @ np.square(state.obs) + 0.1 * action * action
-        state = env.step(state, jnp.array([action]))
+        state = move(state, jnp.array([action]))
     cost += 7.0 * q @ np.square(state.obs)
-    np.testing.assert_allclose(jnp.square(planner.residuals(plan, obs)).sum(), cost, rtol=1e-12)
+    residuals = jax.jit(planner.residuals)(plan, obs)
+    np.testing.assert_allclose(np.square(residuals).sum(), cost, rtol=1e-12)
 
 
 def test_the_plan_is_a_minimum() -> None:
@@ -50,10 +51,10 @@ def test_the_plan_is_a_minimum() -> None:
     def cost(action: jax.Array) -> jax.Array:
         return jnp.square(planner.residuals(action, obs)).sum()
 
-    best, first = planner(obs), CartPoleMPC(holds=(4,))(obs)
-    slope, nothing = jax.grad(cost)(best), jax.grad(cost)(jnp.zeros(1))
-    assert 0.05 < abs(best[0]) < 1 and abs(slope[0]) < 1e-4 * abs(nothing[0])
-    assert cost(first) - cost(best) < 0.01 * (cost(jnp.zeros(1)) - cost(best))
+    best, first = jax.jit(planner)(obs), jax.jit(CartPoleMPC(holds=(4,)))(obs)
+    costs, slopes = jax.jit(jax.vmap(jax.value_and_grad(cost)))(jnp.stack([jnp.zeros(1), first, best]))
+    assert 0.05 < abs(best[0]) < 1 and abs(slopes[2, 0]) < 1e-4 * abs(slopes[0, 0])
+    assert costs[1] - costs[2] < 0.01 * (costs[0] - costs[2])
 
 
 def test_solve() -> None:
@@ -61,7 +62,7 @@ def test_solve() -> None:
     for n in (1, 2, 6):
         root = rng.normal(size=(n, n))
         matrix, right = root @ root.T + 0.1 * np.eye(n), rng.normal(size=n)
-        got = solve(jnp.asarray(matrix), jnp.asarray(right))
+        got = jax.jit(solve)(jnp.asarray(matrix), jnp.asarray(right))
         np.testing.assert_allclose(got, np.linalg.solve(matrix, right), rtol=1e-9)
 
 
@@ -76,15 +77,15 @@ def test_it_swings_up_as_well_as_the_energy_controller(expert_returns: Returns, 
 def test_a_plan_costs_what_its_simulation_does() -> None:
     """And one step of rest, and what is missing of the energy upright."""
     env, plans = Pendulum(), jnp.array([[1.0, -0.5], [-1.0, 0.2]])
-    planner, start = PendulumMPC(knots=2, hold=3), jnp.array([2.0, -1.0])
-    for column, cost in zip(plans.T, planner.costs(start, plans), strict=True):
+    planner, start, move = PendulumMPC(knots=2, hold=3), jnp.array([2.0, -1.0]), jax.jit(env.step)
+    for column, cost in zip(plans.T, jax.jit(planner.costs)(start, plans), strict=True):
         state, total = env.reset(jax.random.key(0)), 0.0
         state = type(state)(start, state.obs, state.reward, state.terminated, state.truncated, state.time)
         for action in [*[column[0]] * 3, *[column[1]] * 3, 0.0]:
             if action == 0.0:
                 theta, speed = state.physics
                 total += 9.0 * abs(0.5 * speed**2 + 15.0 * (np.cos(theta) - 1.0))
-            state = env.step(state, jnp.array([action]))
+            state = move(state, jnp.array([action]))
             total -= state.reward
         np.testing.assert_allclose(cost, total, rtol=1e-10)
 
@@ -101,7 +102,7 @@ def test_a_function_that_can_be_followed(planner: CartPoleMPC | PendulumMPC) -> 
         mirror = np.array([1, -1, -1])
     act = jax.jit(jax.vmap(planner, in_axes=-1, out_axes=-1))
     action = np.asarray(act(obs.T))[0]
-    assert np.abs(action).max() <= 1 and np.abs(action).min() < 0.1
+    assert np.abs(action).max() <= 1 and np.abs(action).min() < 0.2
     np.testing.assert_allclose(act((obs * mirror).T)[0], -action, atol=1e-6)
     assert np.median(np.abs(act((obs + 1e-6).T)[0] - action)) < 1e-4
     again = pickle.loads(pickle.dumps(planner))

@@ -31,19 +31,21 @@ def by_numpy(network, obs):
 
 
 def test_it_is_a_multilayer_perceptron(network):
+    act = jax.jit(network.__call__)
     for obs in np.random.default_rng(1).normal(size=(10, 3)):
-        np.testing.assert_allclose(network(jnp.asarray(obs)), by_numpy(network, obs), atol=1e-13)
+        np.testing.assert_allclose(act(jnp.asarray(obs)), by_numpy(network, obs), atol=1e-13)
 
 
-@pytest.mark.parametrize("lanes", [1, 8, 33])
+@pytest.mark.parametrize("lanes", [1, 33])
 def test_lanes_stand_at_the_end(network, lanes):
     """Those of observations alone, as an expert has them, and those of the layers too, as a learner's policy would."""
     obs = jnp.asarray(np.random.default_rng(2).normal(size=(3, lanes)))
     expected = np.stack([by_numpy(network, column) for column in np.asarray(obs).T], axis=-1)
     together = jax.jit(jax.vmap(network, in_axes=-1, out_axes=-1))(obs)
     np.testing.assert_allclose(together, expected, atol=1e-13)
-    copies = jax.tree.map(lambda leaf: jnp.repeat(leaf[..., None], lanes, axis=-1), network)
-    np.testing.assert_allclose(copies(obs), expected, atol=1e-13)
+    copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], lanes, axis=-1), network)
+    each = jax.jit(lambda network, obs: network(obs))(jax.tree.map(jnp.asarray, copies), obs)
+    np.testing.assert_allclose(each, expected, atol=1e-13)
 
 
 def test_a_lane_has_the_same_bits_in_any_company(network):
