@@ -75,7 +75,7 @@ report: $(READY) ## draw a run folder's table and figures again (OUT=)
 reproduce: $(READY) ## run every experiment of the thesis and report on its claims
 	$(GPCJAX) reproduce $(REPRODUCTION)
 
-oracles: $(READY) ## learn the shipped gpc oracles again (ENV=, or each)
+oracles: $(READY) ## learn the shipped oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)
 
 bench: $(READY) ## measure the throughput

@@ -16,7 +16,7 @@ COMMANDS = {
     "sweep": "teach every combination of learner, error rate and seed, then report",
     "grid": "the same over lists of hyperparameters, with a heatmap",
     "report": "draw a run folder's table and figures again",
-    "oracles": "learn the shipped `gpc` oracles again",
+    "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "version": "print the version",
 }

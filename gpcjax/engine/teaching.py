@@ -20,6 +20,7 @@ from gpcjax.engine import streams
 from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, CorrectionLog, Lane, Phase, Tally
 from gpcjax.envs.base import State as EnvState
 from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.policies.base import Planner
 
 Expert = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
 
@@ -30,7 +31,7 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
     With `grows`, a lane that has no room for it stops, and is asked again when it has.
     """
     coins = block_coins(block)
-    target = jax.vmap(expert, in_axes=-1, out_axes=-1)(block.env.obs)
+    target = _targets(block, expert)
     sigma = _uncertainty(block)
     teacher = block.teacher.during(block.episode)
     advice = teacher.advise(coins, block.action, target, sigma)
@@ -158,6 +159,17 @@ def _end(
     # A window of the last episode is void: the next round draws another.
     window_start = jnp.where(begins, -WINDOW, block.window_start)
     return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window_start
+
+
+def _targets(block: Lane, expert: Expert) -> Float[Array, "action lanes"]:
+    """What the expert would do in each lane; a planner thinks about the lanes that wait only, zero for the others."""
+    if not isinstance(expert, Planner):
+        return jax.vmap(expert, in_axes=-1, out_axes=-1)(block.env.obs)
+
+    def body(lane: Int[Array, ""], target: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
+        return _put(target, lane, expert(_take(block.env.obs, lane, -1)), -1)
+
+    return _each(block.waiting, body, jnp.zeros_like(block.action))
 
 
 def _uncertainty(block: Lane) -> Float[Array, "action lanes"]:

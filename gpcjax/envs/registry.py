@@ -46,6 +46,8 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
                     "gpc-2": ("gpcjax.policies.saved:load_shipped", "cartpole-2"),
                     "gpc-3": ("gpcjax.policies.saved:load_shipped", "cartpole-3"),
                     "lqr": ("gpcjax.envs.experts:LQR",),
+                    "network": ("gpcjax.policies.saved:load_shipped", "cartpole-network"),
+                    "mpc": ("gpcjax.envs.predictive:CartPoleMPC",),
                 }
             ),
             episodes=30,
@@ -56,6 +58,8 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
                 {
                     "gpc": ("gpcjax.policies.saved:load_shipped", "pendulum"),
                     "energy": ("gpcjax.envs.experts:EnergySwingUp",),
+                    "network": ("gpcjax.policies.saved:load_shipped", "pendulum-network"),
+                    "mpc": ("gpcjax.envs.predictive:PendulumMPC",),
                 }
             ),
             episodes=40,
@@ -81,10 +85,17 @@ def expert_names(env_name: str) -> tuple[str, ...]:
     return tuple(_entry(env_name).experts)
 
 
+def shipped(env_name: str) -> dict[str, str]:
+    """The experts of a task that are shipped policies: name -> folder. Raises ValueError for an unknown task."""
+    experts = _entry(env_name).experts.items()
+    return {
+        name: path for name, (target, *rest) in experts if target.endswith(":load_shipped") for path in rest
+    }
+
+
 def shipped_names(env_name: str) -> tuple[str, ...]:
     """The folders of the shipped policies that are experts of a task. Raises ValueError for an unknown task."""
-    experts = _entry(env_name).experts.values()
-    return tuple(arguments[0] for target, *arguments in experts if target.endswith(":load_shipped"))
+    return tuple(shipped(env_name).values())
 
 
 def default_episodes(env_name: str) -> int:

@@ -31,6 +31,17 @@ class Controller(eqx.Module):
         """The action before it is clipped to [-1, 1]."""
 
 
+class Planner(ByIdentity):
+    """A policy whose action takes as long as thousands of steps: (obs_size,) -> (action_size,) in [-1, 1].
+
+    The batched loops ask any other expert for all lanes at once; a planner they ask for those alone that need it.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+        """What to do at `obs`."""
+
+
 class Policy(ByIdentity):
     """A controller as a function of the observation, (obs_size,) -> (action_size,) in [-1, 1]."""
 

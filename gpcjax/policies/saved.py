@@ -19,9 +19,10 @@ import numpy as np
 from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.grid import Grid, GridController
 from gpcjax.policies.kernel import KernelController
+from gpcjax.policies.network import NetworkController
 
 FORMAT = 1
-_KINDS = ("kernel", "grid")
+_KINDS = ("kernel", "grid", "network")
 
 
 def save_controller(path: str | os.PathLike[str], controller: Controller, provenance: dict[str, Any]) -> None:
@@ -93,12 +94,15 @@ def load_card(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def shipped_path(name: str) -> Path:
-    """Where a `gpc` oracle is kept inside the package: by the name of its task, further ones with -2, -3."""
+    """Where a shipped oracle is kept inside the package.
+
+    A `gpc` oracle goes by the name of its task, further ones with -2, -3; a `network` with -network.
+    """
     return Path(str(resources.files("gpcjax.policies") / "shipped" / name))
 
 
 def load_shipped(name: str) -> Policy:
-    """A `gpc` oracle of a task: learned by GPC itself, see its card (`make oracles`)."""
+    """An oracle that was learned: by GPC itself or, a network, by reinforcement. See its card (`make oracles`)."""
     return load_policy(shipped_path(name))
 
 
@@ -119,12 +123,26 @@ def _parts(controller: Controller) -> tuple[dict[str, Any], dict[str, np.ndarray
             "upper": np.asarray(controller.grid.upper),
         }
         return {"kind": "grid", "counts": list(controller.grid.counts)}, arrays
+    if isinstance(controller, NetworkController):
+        layers = enumerate(zip(controller.weights, controller.biases, strict=True), 1)
+        arrays = {
+            f"{name}_{layer}": np.asarray(value)
+            for layer, pair in layers
+            for name, value in zip(("weights", "biases"), pair, strict=True)
+        }
+        return {"kind": "network", "layers": len(controller.weights)}, arrays
     raise TypeError(f"no format for a {type(controller).__name__}")
 
 
 def _controller(card: dict[str, Any], arrays: dict[str, jax.Array]) -> Controller:
     if card["kind"] == "kernel":
         return KernelController(**arrays, smoothness=card["smoothness"])
+    if card["kind"] == "network":
+        weights, biases = (
+            tuple(arrays[f"{name}_{layer}"] for layer in range(1, card["layers"] + 1))
+            for name in ("weights", "biases")
+        )
+        return NetworkController(weights=weights, biases=biases)
     grid = Grid(lower=arrays["lower"], upper=arrays["upper"], counts=tuple(card["counts"]))
     return GridController(weights=arrays["weights"], grid=grid)
 

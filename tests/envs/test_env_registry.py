@@ -11,6 +11,7 @@ from gpcjax.envs.base import Env
 from gpcjax.envs.cartpole import CartPole
 from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic
 from gpcjax.envs.host import HostEnv
+from gpcjax.envs.predictive import CartPoleMPC, PendulumMPC
 from gpcjax.envs.registry import (
     ENVS,
     default_episodes,
@@ -20,6 +21,7 @@ from gpcjax.envs.registry import (
     make_env,
     make_expert,
 )
+from gpcjax.policies.base import Policy
 
 
 @pytest.mark.parametrize("name", env_names())
@@ -43,7 +45,10 @@ def test_parameters_reach_the_env() -> None:
     ("env_name", "expert", "kind"),
     [
         ("cartpole", "lqr", LQR),
+        ("cartpole", "mpc", CartPoleMPC),
         ("pendulum", "energy", EnergySwingUp),
+        ("pendulum", "mpc", PendulumMPC),
+        ("pendulum", "network", Policy),
         ("lunarlander", "heuristic", LanderHeuristic),
     ],
 )
@@ -54,8 +59,8 @@ def test_make_expert(env_name: str, expert: str, kind: type) -> None:
 def test_names() -> None:
     """The default expert of a task comes first."""
     assert env_names() == ("cartpole", "pendulum", "lunarlander")
-    assert expert_names("cartpole") == ("gpc", "gpc-2", "gpc-3", "lqr")
-    assert expert_names("pendulum") == ("gpc", "energy")
+    assert expert_names("cartpole") == ("gpc", "gpc-2", "gpc-3", "lqr", "network", "mpc")
+    assert expert_names("pendulum") == ("gpc", "energy", "network", "mpc")
     assert expert_names("lunarlander") == ("heuristic",)
     assert [default_episodes(name) for name in env_names()] == [30, 40, 200]
     assert [default_max_capacity(name) for name in env_names()] == [1024, 1024, 4096]

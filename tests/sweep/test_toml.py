@@ -156,4 +156,5 @@ def test_the_parts_teach_the_tasks_that_they_are_named_after():
         assert sorted(algo for each in specs for algo in each.algo) == ["coach", "gpc", "gpc-ns"]
         assert {each.error for each in specs} == {(0.0, 0.1, 0.2)}
         assert {each.oracle for each in specs} == {expert_names(env)[:1]}
-    assert set(spec(SWEEPS / "oracles_cartpole.toml").oracle) == set(expert_names("cartpole"))
+    for env in ("cartpole", "pendulum"):
+        assert set(spec(SWEEPS / f"oracles_{env}.toml").oracle) == set(expert_names(env))
