@@ -92,7 +92,7 @@ def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
     return dataclasses.replace(block, state=state, controller=controller, tally=tally, log=log, status=status)
 
 
-def all_finite(*values: Float[Array, "n lanes"]) -> Bool[Array, " lanes"]:
+def all_finite(*values: Float[Array, "_ lanes"]) -> Bool[Array, " lanes"]:
     """Whether a lane has only numbers in all of them."""
     # Term by term, and zero times a number: so it joins the loop over lanes that reads them anyway.
     rows = [value[i] for value in values for i in range(value.shape[0])]
