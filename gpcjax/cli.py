@@ -76,7 +76,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
     if "rate_from" in given:
         given = _with_schedule(given, arguments.dry_run)
     if arguments.command == "grid":
-        given = {"algo": Given(("gpc",), "algo")} | given
+        defaults = cli_options.DEFAULTS["grid"]
+        given = {name: Given(value, name) for name, value in defaults.items()} | given
     spec = make_spec(given)
     cells = count(spec)
     if arguments.command == "grid" and not set(varying(spec)) & set(spec.hyperparameters):
