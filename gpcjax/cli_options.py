@@ -7,6 +7,7 @@ begins with a dash for a flag, and fails on `--error=--`.
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 from gpcjax.allowed import Anything, suggestion
 from gpcjax.errors import UserError
@@ -159,6 +160,11 @@ STATUSES = """exit status:
 
 def build() -> argparse.ArgumentParser:
     """The parser of all commands, for its help."""
+    return _parsers()[""]
+
+
+def _parsers() -> dict[str, argparse.ArgumentParser]:
+    """That of each command by its name, and under no name that of all."""
     parser = argparse.ArgumentParser(
         prog="gpcjax",
         description="Teach controllers by corrective advice, many at once.",
@@ -167,6 +173,7 @@ def build() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    parsers = {"": parser}
     for name, command in COMMANDS.items():
         text = command.text
         usage = f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]" if name in ("sweep", "grid") else None
@@ -182,7 +189,13 @@ def build() -> argparse.ArgumentParser:
                 else:
                     action = argparse.BooleanOptionalAction if flag.negative else "store_true"
                     group.add_argument(flag.name, action=action, help=flag.text)
-    return parser
+        parsers[name] = sub
+    return parsers
+
+
+def _help_and_end(name: str) -> NoReturn:
+    print(_parsers()[name].format_help(), end="", flush=True)
+    raise SystemExit(0)
 
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
@@ -197,8 +210,7 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """
     first, *rest = words
     if first in ("-h", "--help"):
-        build().print_help()
-        raise SystemExit(0)
+        _help_and_end("")
     if first == "--version":
         return argparse.Namespace(command="version")
     if first.startswith("-"):
@@ -208,8 +220,7 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
         raise UserError(f"{shown(first)} is no command{near}: give {', '.join(COMMANDS)}")
     before_dashes = rest[: rest.index("--")] if "--" in rest else rest
     if "--help" in before_dashes or "-h" in before_dashes:
-        # Public ways to the help of a command: argparse prints it and ends the process.
-        build().parse_args([first, "--help"])
+        _help_and_end(first)
     command = COMMANDS[first]
     values = _read(first, command, rest)
     return argparse.Namespace(command=first, **values)
