@@ -8,7 +8,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
 
 import gpcjax
 from gpcjax import cli_options
@@ -72,13 +71,13 @@ def _guarded(words: Sequence[str]) -> int:
         sys.stdout.flush()
         return status
     except UserError as error:
-        return _fail(f"error: {error}", MISTAKE)
+        return _tell(f"error: {error}", MISTAKE)
     except KeyboardInterrupt as stop:
-        return _fail(str(stop) or "stopped", _status(stop))
+        return _tell(str(stop) or "stopped", _status(stop))
     except Exception as error:
         # A signal while a library is loaded comes out as that library's own error.
         if (status := stopping.status()) is not None:
-            return _fail("stopped", status)
+            return _tell("stopped", status)
         if isinstance(error, BrokenPipeError):  # the reader of our output is gone, `| head` for one
             for name in ("stdout", "stderr"):
                 leave(name)
@@ -86,9 +85,8 @@ def _guarded(words: Sequence[str]) -> int:
         line = _reason(error)
         if line is None:
             raise
-        if _cannot_write(sys.stdout):
-            leave("stdout")
-        return _fail(f"error: {line}", FAILED)
+        _give_up_stdout()
+        return _tell(f"error: {line}", FAILED)
 
 
 def _reason(error: Exception) -> str | None:
@@ -114,12 +112,12 @@ def _status(stop: KeyboardInterrupt) -> int:
     return stop.status if isinstance(stop, stopping.Stopped) else 128 + signal.SIGINT
 
 
-def _cannot_write(stream: TextIO) -> bool:
+def _give_up_stdout() -> None:
+    """If it can take no more, so that the end of the process does not try it again."""
     try:
-        stream.flush()
+        sys.stdout.flush()
     except OSError:
-        return True
-    return False
+        leave("stdout")
 
 
 def _forget_warnings() -> None:
@@ -252,11 +250,11 @@ def _reproduce(arguments: argparse.Namespace) -> int:
 
 def _note() -> None:
     for line in notes():
-        print(f"gpcjax: {line}", file=sys.stderr)
+        _tell(line, 0)
 
 
 def _stopped(out: Path, stop: KeyboardInterrupt) -> int:
-    return _fail(f"stopped: {out} keeps what is finished, the same command goes on from there", _status(stop))
+    return _tell(f"stopped: {out} keeps what is finished, the same command goes on from there", _status(stop))
 
 
 def _full_text(failure: Failure, out: Path) -> str:
@@ -271,8 +269,11 @@ def _full_text(failure: Failure, out: Path) -> str:
     return f". This is a fault of gpcjax: its full text is in {path}"
 
 
-def _fail(message: str, status: int) -> int:
-    """Say why in one line, whatever characters a person's value held, and give back `status`."""
+def _tell(message: str, status: int) -> int:
+    """Say it in one line on stderr, whatever characters a person's value held, and give back `status`."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in message)
-    print(f"gpcjax: {line}", file=sys.stderr)
+    try:
+        print(f"gpcjax: {line}", file=sys.stderr, flush=True)
+    except OSError:  # nobody can be told; the status says it
+        leave("stderr")
     return status

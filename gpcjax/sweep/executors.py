@@ -65,7 +65,7 @@ class _Worker:
     connection: Connection
     process: subprocess.Popen[bytes]
     errors: int
-    """What it writes to stdout and stderr can be read here."""
+    """What it writes to stderr can be read here."""
     program: Program | None = None
     given: int = 0
     """Cells of this program that it has been given."""
@@ -73,6 +73,8 @@ class _Worker:
     """What it has done, as far as it has told."""
     heard: float = 0.0
     """When its time was last put down to its program."""
+    stepping: bool = False
+    """Whether it has made a step in its program."""
     compiling_since: float | None = None
     last_words: bytes = b""
     """The end of what it has written."""
@@ -196,6 +198,7 @@ class Executors:
     def _next_program(self, worker: _Worker) -> tuple[Any, ...]:
         if worker.program is not None:
             self._works[worker.program].workers -= 1
+            self._works[worker.program].starting -= not worker.stepping
         worker.program, worker.given = None, 0
         if self._baselines and worker is self._workers[-1]:
             return ("baseline", *self._baselines.popleft())
@@ -209,7 +212,11 @@ class Executors:
         # In order, but a worker that must share takes what has most left.
         worker.program = free[0] if free else max(shared, key=lambda key: len(self._programs[key]))
         worker.heard = time.monotonic()
-        self._works[worker.program].workers += 1
+        work = self._works[worker.program]
+        worker.stepping = False
+        work.workers += 1
+        work.starting += 1
+        work.joined += 1
         return ("program", self._programs[worker.program][0])
 
     def _next_cells(self, worker: _Worker) -> list[Cell]:
@@ -231,6 +238,9 @@ class Executors:
             return
         work, compiled = self._works[worker.program], progress.compile_seconds - before.compile_seconds
         work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
+        if not worker.stepping and progress.env_steps > before.env_steps:
+            worker.stepping = True
+            work.starting -= 1
         work.seconds += max(now - worker.heard - compiled, 0.0)
         worker.heard = now
 
@@ -298,7 +308,7 @@ def _start(environment: dict[str, str]) -> _Worker:
             pass_fds=[theirs.fileno()],
             env=environment,
             stdin=subprocess.DEVNULL,
-            stdout=written,
+            stdout=subprocess.DEVNULL,
             stderr=written,
             process_group=0,  # Ctrl-C is for the parent alone, also while a worker is still importing
         )

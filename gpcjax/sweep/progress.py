@@ -1,5 +1,6 @@
 """How far a sweep is and how long it will take: a bar in a terminal, a line a minute elsewhere. Loads no jax."""
 
+import heapq
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -59,6 +60,10 @@ class Work:
     compile_seconds: float = 0.0
     workers: int = 0
     """Workers that are at it now."""
+    starting: int = 0
+    """Those of them that have not made a step yet."""
+    joined: int = 0
+    """Workers that have been at it: each compiles for itself."""
     recent_steps: float = 0.0
     recent_episodes: float = 0.0
     """Of the last seconds: what an episode takes by now, where learners live longer and longer."""
@@ -71,15 +76,14 @@ class Work:
         self.recent_steps = 0.9 * self.recent_steps + steps
         self.recent_episodes = 0.9 * self.recent_episodes + episodes
 
-    @property
-    def steps_left(self) -> float:
-        """Expected steps of all that is not done.
+    def _steps_left(self) -> tuple[float, float]:
+        """Expected steps of the runs that are under way, and of those that are not begun.
 
         Runs that are over are no sample of those that are not: on tasks where one falls early, the short ones come
         first. So the runs that are under way go on as they do now, and those not begun are like all the others.
         """
         if self.finished >= self.cells:
-            return 0.0
+            return 0.0, 0.0
         running = max(self.begun - self.finished, 0)
         episodes = max(self.done_episodes - self.finished_episodes, 0)
         steps = max(self.steps - self.finished_steps, 0)
@@ -90,7 +94,17 @@ class Work:
         of_running = length * max(running * self.episodes - episodes, 0)
         known = self.finished + running
         each = (self.finished_steps + steps + of_running) / known if known else 0.0
-        return of_running + each * (self.cells - known)
+        return of_running, each * (self.cells - known)
+
+    @property
+    def steps_left(self) -> float:
+        """Expected steps of all that is not done."""
+        return sum(self._steps_left())
+
+    @property
+    def steps_free(self) -> float:
+        """Those of cells that no worker has."""
+        return self._steps_left()[1]
 
     @property
     def done(self) -> float:
@@ -103,34 +117,60 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
 
     A program that has been seen for a while costs what it did so far, in seconds a step; another one what the table of
     this module says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
-    they are over early, and much shorter where the programs come from the cache.
+    they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
+    as `executors` hands it out: a program each, and those who have no more join the one with most left.
     """
     seen = [work for work in works if _is_seen(work)]
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
     begun = [work for work in works if work.steps]
-    usual_compiling = sum(_SECONDS_TO_COMPILE[work.algo] * (1 + work.done) / 2 for work in begun)
-    compiling = sum(work.compile_seconds for work in begun) / usual_compiling if begun else 1.0
+    usual_compiling = sum(_SECONDS_TO_COMPILE[work.algo] * work.joined for work in begun)
+    compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
 
-    def left(work: Work) -> float:
+    bound, free, to_compile = {}, {}, {}
+    """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
+    for index, work in enumerate(works):
         if work.finished >= work.cells:
-            return 0.0
-        compile_left = _SECONDS_TO_COMPILE[work.algo] * compiling
-        compile_left = (
-            max(compile_left - work.compile_seconds, 0.0)
-            if not work.steps
-            else compile_left / 2 * (1 - work.done)
+            continue
+        seconds = (
+            work.seconds * (1 - work.done) / work.done
+            if _is_seen(work)
+            else _usual(work) * speed * (1 - work.done)
         )
-        if _is_seen(work):
-            return work.seconds * (1 - work.done) / work.done + compile_left
-        return _usual(work) * speed * (1 - work.done) + compile_left
-
-    each = [left(work) for work in works]
-    longest = 0.0
-    for work, seconds in zip(works, each, strict=True):
-        divisible = work.cells - work.begun >= DIVISIBLE or work.env == "lunarlander"
-        longest = max(longest, seconds / (jobs if divisible else max(work.workers, 1)))
-    return max(sum(each) / jobs, longest)
+        of_free = work.steps_free / work.steps_left if work.steps else 1.0
+        free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
+        to_compile[index] = _SECONDS_TO_COMPILE[work.algo] * compiling
+    at = [index for index, work in enumerate(works) for _ in range(work.workers) if index in free]
+    ends = []
+    """When each worker has done what it has now, and where it is."""
+    for index in at:
+        compile_left = (
+            0.0 if works[index].steps else max(to_compile[index] - works[index].compile_seconds, 0.0)
+        )
+        ends.append((compile_left + bound[index] / works[index].workers, index))
+    ends += [(0.0, -1)] * (jobs - len(ends))
+    last, taken, at_first = 0.0, set(at), dict(free)
+    heapq.heapify(ends)
+    while ends:
+        now, index = heapq.heappop(ends)
+        last = max(last, now)
+        if index >= 0 and free[index] > 0:  # a part of what is left of its program, in several takings
+            some = min(free[index], max(free[index] / (2 * jobs), 0.05))
+            free[index] -= some
+            heapq.heappush(ends, (now + some, index))
+            continue
+        fresh = [each for each in free if each not in taken]
+        least = {each: 1 if works[each].env == "lunarlander" else DIVISIBLE for each in free}
+        cells = {
+            each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
+            for each, seconds in free.items()
+        }
+        shared = [each for each in free if cells[each] >= least[each]]
+        if fresh or shared:
+            index = fresh[0] if fresh else max(shared, key=lambda each: cells[each])
+            taken.add(index)
+            heapq.heappush(ends, (now + to_compile[index], index))
+    return last
 
 
 def _is_seen(work: Work) -> bool:

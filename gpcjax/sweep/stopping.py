@@ -75,10 +75,10 @@ def listen() -> None:
 
 
 def deaf() -> None:
-    """Nothing is left to be kept: from now on a signal ends the process without a word."""
+    """Nothing is left to be kept: a signal ends the process without a word, and one that is ending by itself never."""
     for number in SIGNALS:
         if signal.getsignal(number) == _heard.note:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, signal.SIG_DFL if _heard.first is None else signal.SIG_IGN)
 
 
 def status() -> int | None:
