@@ -1,6 +1,7 @@
 """How far a sweep is and how long it will take: a bar in a terminal, a line a minute elsewhere. Loads no jax."""
 
 import heapq
+import itertools
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -120,6 +121,8 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
     as `executors` hands it out: a program each, and those who have no more join the one with most left.
     """
+    if all(work.finished >= work.cells and not work.workers for work in works):
+        return 0.0
     seen = [work for work in works if _is_seen(work)]
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
@@ -140,21 +143,30 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         of_free = work.steps_free / work.steps_left if work.steps else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
         to_compile[index] = _SECONDS_TO_COMPILE[work.algo] * compiling
-    at = [index for index, work in enumerate(works) for _ in range(work.workers) if index in free]
+    at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
-    for index in at:
-        compile_left = (
-            0.0 if works[index].steps else max(to_compile[index] - works[index].compile_seconds, 0.0)
-        )
-        ends.append((compile_left + bound[index] / works[index].workers, index))
+    for index, same in itertools.groupby(at):
+        work, stepping = works[index], works[index].workers - works[index].starting
+        compile_left = _SECONDS_TO_COMPILE[work.algo] * compiling
+        if stepping or work.steps:  # it joined another; since when is not known
+            compile_left /= 2
+        else:
+            compile_left = max(compile_left - work.compile_seconds / work.workers, 0.0)
+        for number, _ in enumerate(same):
+            if number < stepping:
+                ends.append((bound.get(index, 0.0) / stepping, index))
+            else:
+                ends.append(
+                    (compile_left + (0.0 if stepping else bound.get(index, 0.0) / work.workers), index)
+                )
     ends += [(0.0, -1)] * (jobs - len(ends))
     last, taken, at_first = 0.0, set(at), dict(free)
     heapq.heapify(ends)
     while ends:
         now, index = heapq.heappop(ends)
         last = max(last, now)
-        if index >= 0 and free[index] > 0:  # a part of what is left of its program, in several takings
+        if free.get(index, 0.0) > 0:  # a part of what is left of its program, in several takings
             some = min(free[index], max(free[index] / (2 * jobs), 0.05))
             free[index] -= some
             heapq.heappush(ends, (now + some, index))
