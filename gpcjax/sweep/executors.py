@@ -1,6 +1,7 @@
 """Worker processes, and who gets which cell. Loads no jax."""
 
 import dataclasses
+import errno
 import os
 import re
 import signal
@@ -313,7 +314,8 @@ def _start(environment: dict[str, str]) -> _Worker:
             process_group=0,  # Ctrl-C is for the parent alone, also while a worker is still importing
         )
     except OSError as error:
-        raise Failure(f"a worker process could not be started: {error.strerror}{FEWER}") from None
+        hint = FEWER if error.errno in (errno.ENOMEM, errno.EAGAIN) else ", give fewer --jobs"
+        raise Failure(f"a worker process could not be started: {error.strerror}{hint}") from None
     theirs.close()
     os.close(written)
     os.set_blocking(errors, False)

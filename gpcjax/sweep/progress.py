@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -221,7 +221,7 @@ class Bar:
     name: str
     cells: int
     jobs: int
-    stream: TextIO | None = None
+    stream: Any = None
     clock: Callable[[], float] = time.monotonic
     _bar: Progress | None = None
     _state: State = field(default_factory=State)
@@ -296,7 +296,6 @@ class Bar:
         return f"{_clock_time(seconds_left(works, self.jobs))} left"
 
     def _print(self, line: str) -> None:
-        assert self.stream is not None
         with suppress(OSError, ValueError):
             print(line, file=self.stream, flush=True)
 
@@ -304,7 +303,7 @@ class Bar:
 class _Patient:
     """A terminal that may be gone, as after the end of a connection: what cannot be written is dropped."""
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: Any):
         self._stream = stream
         self.encoding = stream.encoding
 
