@@ -48,14 +48,24 @@ GIVEN := $(foreach variable,$(.VARIABLES),$(if $(filter command,$(origin $(varia
 REFUSED := $(firstword $(filter-out $(TAKEN),$(GIVEN)))
 $(if $(REFUSED),$(error '$(REFUSED)' is no variable of make $(GOALS): give $(strip $(TAKEN))))
 
-# A value given on the command line becomes a flag: one word for the shell, whatever is in it.
+# A value is a value: make expands those of the command line when it hands them to a program's environment, and runs what
+# $(shell) in them says. So each is set to its own text, once and for all, and handed to nobody.
+OURS := $(sort $(GIVEN) $(foreach target,sweep reproduce test,$(TAKES_$(target))) PYTHON)
+$(foreach variable,$(OURS),$(if $(filter command environment%,$(origin $(variable))),$(eval override $(variable) := $$(value $(variable)))))
+unexport $(OURS)
+MAKEOVERRIDES :=
+
+# A value given on the command line becomes a flag: one word for the shell, whatever is in it. ARGS becomes several, by
+# the quotes in it, and nothing else of it means anything to the shell.
 define newline
 
 
 endef
 quoted = '$(subst $(newline), ,$(subst ','\'',$(value $1)))'
-flag = $(if $(filter command,$(origin $(call name,$1))),--$(lastword $(subst :, ,$1))=$(call quoted,$(call name,$1)))
-SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair))) $(value ARGS)
+flag = $(if $(filter $(call name,$1),$(GIVEN)),--$(lastword $(subst :, ,$1))=$(call quoted,$(call name,$1)))
+WORDS = words=$$(printf %s $(call quoted,ARGS) | xargs printf '%s\n') || exit 2; IFS=$$(printf '\n_') && IFS=$${IFS%_}; set -f;
+with_args = $(if $(ARGS),$(WORDS) $1 $$words,$1)
+SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair)))
 REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 
 .PHONY: help sweep grid report reproduce oracles bench test torture lint format lock clean
@@ -64,10 +74,10 @@ help: ## this list (default)
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
 
 sweep: $(READY) ## teach every combination, print a table, draw the curves
-	$(GPCJAX) sweep $(SETTINGS)
+	$(call with_args,$(GPCJAX) sweep $(SETTINGS))
 
 grid: $(READY) ## the same over lists of hyperparameters, with a heatmap
-	$(GPCJAX) grid $(SETTINGS)
+	$(call with_args,$(GPCJAX) grid $(SETTINGS))
 
 report: $(READY) ## draw a run folder's table and figures again (OUT=)
 	$(GPCJAX) report $(if $(OUT),-- $(call quoted,OUT))
@@ -79,10 +89,10 @@ oracles: $(READY) ## learn the shipped oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)
 
 bench: $(READY) ## measure the throughput
-	.venv/bin/python -m benchmarks.throughput $(value ARGS)
+	$(call with_args,.venv/bin/python -m benchmarks.throughput)
 
 test: $(READY) ## run every test
-	.venv/bin/python -m pytest -n 2 $(value ARGS)
+	$(call with_args,.venv/bin/python -m pytest -n 2)
 
 torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found
 	.venv/bin/python -m tests.torture $(value ARGS)
@@ -95,8 +105,8 @@ format: $(READY) ## write the code in its one style
 	.venv/bin/ruff check --fix . && .venv/bin/ruff format .
 
 lock: $(READY) ## write requirements.lock anew (ARGS=--upgrade for newer versions)
-	.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes --only-binary :all: --quiet \
-		--custom-compile-command 'make lock' --group dev pyproject.toml -o requirements.lock $(value ARGS)
+	$(call with_args,.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
+		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev pyproject.toml -o requirements.lock)
 
 clean: ## remove .venv and all caches, no results
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache
@@ -105,13 +115,14 @@ clean: ## remove .venv and all caches, no results
 # Set up once: again only if the lock or pyproject.toml is newer, or .venv has lost its Python. What is wrong with a
 # sweep is said before that takes its minutes.
 .PHONY: $(if $(shell test -x .venv/bin/python && echo yes),,$(READY))
-sweep: CHECK = $(PYTHON) -m gpcjax sweep $(SETTINGS) --dry-run
-grid: CHECK = $(PYTHON) -m gpcjax grid $(SETTINGS) --dry-run
-reproduce: CHECK = $(PYTHON) -m gpcjax reproduce $(REPRODUCTION) --dry-run
+PYTHON_WORD = $(call quoted,PYTHON)
+sweep: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax sweep $(SETTINGS) --dry-run)
+grid: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax grid $(SETTINGS) --dry-run)
+reproduce: CHECK = $(PYTHON_WORD) -m gpcjax reproduce $(REPRODUCTION) --dry-run
 NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
 $(READY): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo '$(NEEDED)' >&2; exit 2; }
+	@$(PYTHON_WORD) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo '$(NEEDED)' >&2; exit 2; }
 	@$(CHECK)
 	@echo 'setting up .venv, once: this takes a minute or more'
-	@$(PYTHON) -m venv .venv && $(PIP) install --require-hashes --only-binary :all: -r requirements.lock
+	@$(PYTHON_WORD) -m venv .venv && $(PIP) install --require-hashes --only-binary :all: -r requirements.lock
 	@$(PIP) install --no-deps --no-index --no-build-isolation -e . && touch $@

@@ -3,44 +3,129 @@
 import argparse
 import errno
 import os
+import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import gpcjax
 from gpcjax import cli_options
 from gpcjax.envs.registry import env_names
-from gpcjax.errors import UserError
+from gpcjax.errors import Failure, UserError
 from gpcjax.reproduce.parts import check, chosen, folder
+from gpcjax.streams import leave, make_printable
+from gpcjax.sweep import stopping
+from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.environment import notes
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
 from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
 
+FAILED = 1
 MISTAKE = 2
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as in shells: 128 and the signal's number."""
+FAULT = "fault.txt"
+"""In a run folder, the traceback of the fault of ours that ended its last run."""
+
 BROKEN_PIPE = 141
+
+_HINTS = {
+    errno.ENOSPC: "make room",
+    errno.EDQUOT: "make room",
+    errno.EFBIG: "a file may not be that large here (ulimit -f), raise the limit",
+    errno.EMFILE: "too few files may be open here (ulimit -n), raise the limit or give fewer --jobs",
+    errno.ENFILE: "the system has too many open files, close some",
+    errno.EROFS: "make it writable",
+    errno.EACCES: "make it writable",
+    errno.EPERM: "make it writable",
+    errno.ENOENT: "the folder was removed or moved while it was in use",
+    errno.ENOMEM: "give fewer --jobs or a machine with more memory",
+    errno.EAGAIN: "give fewer --jobs",
+}
+"""What to do about an error of the system."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run `gpcjax WORDS`. Returns the exit status: 0, 2 after a person's mistake, 130 after Ctrl-C."""
+    """Run `gpcjax WORDS`, or the words of this process if none are given, and give the exit status.
+
+    0 done; 1 the run failed; 2 a mistake in the command; 130, 143, 129 stopped by Ctrl-C, SIGTERM, SIGHUP (128 and the
+    signal's number, as in shells); 141 nobody reads the output. Everything but 0 comes with one line on stderr. A fault
+    of ours raises, with its traceback.
+    """
+    if words is not None:
+        return _guarded(words)
+    make_printable()
+    _forget_warnings()
+    stopping.listen()
     try:
-        status = _run(sys.argv[1:] if words is None else words)
+        return _guarded(sys.argv[1:])
+    finally:
+        stopping.deaf()
+
+
+def _guarded(words: Sequence[str]) -> int:
+    """Run the words, and make one line and a status of all that is no fault of ours."""
+    try:
+        status = _run(words)
         sys.stdout.flush()
         return status
     except UserError as error:
-        return _fail(f"error: {error}", MISTAKE)
-    except KeyboardInterrupt:
-        return _fail("stopped", INTERRUPTED)
-    except BrokenPipeError:  # the reader of our output is gone, `| head` for one
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return _tell(f"error: {error}", MISTAKE)
+    except KeyboardInterrupt as stop:
+        return _tell(str(stop) or "stopped", _status(stop))
+    except Exception as error:
+        # A signal while a library is loaded comes out as that library's own error.
+        if (status := stopping.status()) is not None:
+            return _tell("stopped", status)
+        if isinstance(error, BrokenPipeError):  # the reader of our output is gone, `| head` for one
+            for name in ("stdout", "stderr"):
+                leave(name)
+            return BROKEN_PIPE
+        line = _reason(error)
+        if line is None:
             raise
-        return _fail(f"error: {error}: make room, then the same command goes on", 1)
+        _give_up_stdout()
+        return _tell(f"error: {line}", FAILED)
+
+
+def _reason(error: Exception) -> str | None:
+    """Why a run failed, in a line, where that is no fault of ours."""
+    match error:
+        case Failure():
+            return str(error)
+        case MemoryError():
+            return f"too little memory: {_HINTS[errno.ENOMEM]}"
+        case OSError(errno=int(number)):
+            hint = _HINTS.get(number, "see to it")
+            return f"{error}: {hint}, then the same command goes on"
+        case OSError():
+            return str(error)
+        case ImportError():
+            return f"a library cannot be loaded: {error}"
+        case RuntimeError() if "can't start new thread" in str(error):
+            return f"{error}: {_HINTS[errno.EAGAIN]}"
+    return None
+
+
+def _status(stop: KeyboardInterrupt) -> int:
+    return stop.status if isinstance(stop, stopping.Stopped) else 128 + signal.SIGINT
+
+
+def _give_up_stdout() -> None:
+    """If it can take no more, so that the end of the process does not try it again."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        leave("stdout")
+
+
+def _forget_warnings() -> None:
+    """Warnings are as Python has them by default, also where PYTHONWARNINGS makes errors of them: libraries warn."""
+    warnings.resetwarnings()
+    for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+        warnings.simplefilter("ignore", category)
 
 
 def usable_cores() -> int:
@@ -77,7 +162,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
     if "rate_from" in given:
         given = _with_schedule(given, arguments.dry_run)
     if arguments.command == "grid":
-        given = {"algo": Given(("gpc",), "algo")} | given
+        defaults = cli_options.DEFAULTS["grid"]
+        given = {name: Given(value, name) for name, value in defaults.items()} | given
     spec = make_spec(given)
     cells = count(spec)
     if arguments.command == "grid" and not set(varying(spec)) & set(spec.hyperparameters):
@@ -112,12 +198,14 @@ def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:
     try:
         from gpcjax.sweep.run import run
 
+        _note()
         with held(out):  # until the report is written, too
             run(spec, out, jobs)
             return _report(out)
-    except KeyboardInterrupt:
-        message = f"stopped: {out} keeps what is finished, the same command goes on from there"
-        return _fail(message, INTERRUPTED)
+    except KeyboardInterrupt as stop:
+        return _stopped(out, stop)
+    except Failure as failure:
+        raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
 
 
 def _report(out: Path) -> int:
@@ -154,16 +242,41 @@ def _reproduce(arguments: argparse.Namespace) -> int:
     from gpcjax.reproduce.run import reproduce
 
     try:
+        _note()
         print(reproduce(sweeps, out, only, arguments.quick, jobs))
-    except KeyboardInterrupt:
-        return _fail(
-            f"stopped: {out} keeps what is finished, the same command goes on from there", INTERRUPTED
-        )
+    except KeyboardInterrupt as stop:
+        return _stopped(out, stop)
+    except Failure as failure:
+        raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
     return 0
 
 
-def _fail(message: str, status: int) -> int:
-    """Say why in one line, whatever characters a person's value held, and give back `status`."""
+def _note() -> None:
+    for line in notes():
+        _tell(line, 0)
+
+
+def _stopped(out: Path, stop: KeyboardInterrupt) -> int:
+    return _tell(f"stopped: {out} keeps what is finished, the same command goes on from there", _status(stop))
+
+
+def _full_text(failure: Failure, out: Path) -> str:
+    """Where the traceback of a fault of ours can be read, if there is one and it can be written."""
+    if not failure.details:
+        return ""
+    path = out / FAULT
+    try:
+        write_atomic(path, failure.details)
+    except OSError:
+        return ""
+    return f". This is a fault of gpcjax: its full text is in {path}"
+
+
+def _tell(message: str, status: int) -> int:
+    """Say it in one line on stderr, whatever characters a person's value held, and give back `status`."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in message)
-    print(f"gpcjax: {line}", file=sys.stderr)
+    try:
+        print(f"gpcjax: {line}", file=sys.stderr, flush=True)
+    except OSError:  # nobody can be told; the status says it
+        leave("stderr")
     return status

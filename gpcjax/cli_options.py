@@ -1,25 +1,19 @@
-"""The command line's grammar, built from the table of options. Loads no jax."""
+"""The command line's grammar, built from the table of options. Loads no jax.
+
+`argparse` prints the help. It does not read the words: it passes over a flag that is given twice, takes a value that
+begins with a dash for a flag, and fails on `--error=--`.
+"""
 
 import argparse
-import re
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from dataclasses import dataclass
+from typing import NoReturn
 
-import gpcjax
 from gpcjax.allowed import Anything, suggestion
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import PARTS, folder
 from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, Option, parse, shown
 from gpcjax.sweep.spec import Given
-
-COMMANDS = {
-    "sweep": "teach every combination of learner, error rate and seed, then report",
-    "grid": "the same over lists of hyperparameters, with a heatmap",
-    "report": "draw a run folder's table and figures again",
-    "oracles": "learn the shipped oracles again",
-    "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
-    "version": "print the version",
-}
 
 _GROUPS = (
     ("experiment", EXPERIMENT),
@@ -29,59 +23,259 @@ _GROUPS = (
 )
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose complaints are `UserError`s, and which knows its flags by their full names only."""
+@dataclass(frozen=True)
+class Flag:
+    """A flag of a command. Without a `metavar` it is a switch and takes no value."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, **options)
+    name: str
+    """With its dashes."""
+    text: str
+    metavar: str = ""
+    value: str = "one"
+    """What a missing value should be, for messages."""
+    default: str | None = None
+    negative: bool = False
+    """Whether there is a --no-NAME as well; the switch is then true, false or None."""
 
-    def error(self, message: str) -> NoReturn:
-        """Raise, where argparse would print its usage and exit."""
-        if empty := re.fullmatch(r"argument --(\S+): expected one argument", message):
-            option = OPTIONS.get(empty[1].replace("-", "_"))
-            message = f"--{empty[1]} has no value: give {option.allowed if option else 'one'}"
-        elif missing := re.fullmatch(r"the following arguments are required: (\S+)", message):
-            message = f"{missing[1]} is missing: see {self.prog} --help"
-        raise UserError(message)
+    @property
+    def key(self) -> str:
+        """The attribute that has its value."""
+        return self.name[2:].replace("-", "_")
 
 
-def build() -> Parser:
-    """The parser of all commands. Values of flags stay texts; switches become true or false."""
-    version = f"gpcjax {gpcjax.__version__}"
-    parser = Parser(prog="gpcjax", description="Teach controllers by corrective advice, many at once.")
-    parser.add_argument("--version", action="version", version=version, help="print the version")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser, required=True)
-    for name, text in COMMANDS.items():
-        command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        if name in ("sweep", "grid"):
-            command.usage = f"gpcjax {name} [TOML] [--FLAG VALUE ...]"
-            _add_sweep(command)
-        elif name == "report":
-            command.add_argument("out", metavar="OUT", help="the run folder")
-        elif name == "reproduce":
-            _add_reproduce(command)
-        elif name == "oracles":
-            command.add_argument("--env", help=f"{OPTIONS['env'].allowed}, comma list (default: each)")
-    return parser
+@dataclass(frozen=True)
+class Command:
+    """What may stand behind a command: flags in groups with titles, and one word that is no flag."""
+
+    text: str
+    groups: tuple[tuple[str, tuple[Flag, ...]], ...] = ()
+    word: str = ""
+    """Name of that word, if it takes one."""
+    word_text: str = ""
+    needed: bool = False
+    """Whether the word must be given."""
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """Of all groups."""
+        return tuple(flag for _, flags in self.groups for flag in flags)
+
+    @property
+    def names(self) -> list[str]:
+        """All flags as they are written, for messages."""
+        names = [flag.name for flag in self.flags]
+        return [*names, *(f"--no-{flag.name[2:]}" for flag in self.flags if flag.negative), "--help"]
+
+
+def _flag(option: Option, command: str) -> Flag:
+    return Flag(
+        option.flag,
+        _help(option, command),
+        metavar="" if option.kind is bool else _metavar(option),
+        value=str(option.allowed),
+        negative=option.kind is bool,
+    )
+
+
+def _help(option: Option, command: str) -> str:
+    default = option.otherwise
+    if option.default is not None:
+        values = option.default if isinstance(option.default, tuple) else (option.default,)
+        values = DEFAULTS.get(command, {}).get(option.name, values)
+        default = ",".join(str(value).removesuffix(".0") for value in values)
+    notes = [] if isinstance(option.allowed, Anything) else [str(option.allowed)]
+    if default:
+        notes.append(f"default {default}")
+    return f"{option.text} ({'; '.join(notes)})" if notes else option.text
+
+
+def _metavar(option: Option) -> str:
+    if option.many:
+        return "A,B,..."
+    return "N" if option.kind is int else option.name.upper()
+
+
+DEFAULTS = {"grid": {"algo": ("gpc",)}}
+"""Where a command has other defaults than the table of options."""
+
+
+def _sweep(name: str) -> Command:
+    switches = (
+        Flag("--dry-run", "check all, say how many cells, run nothing"),
+        Flag("--quick", "with the settings of the file's table [quick]"),
+    )
+    groups = tuple((title, tuple(_flag(option, name) for option in options)) for title, options in _GROUPS)
+    text = "a file with these names as keys; flags win"
+    return Command(_TEXTS[name], (*groups, ("", switches)), word="TOML", word_text=text)
+
+
+_TEXTS = {
+    "sweep": "teach every combination of learner, error rate and seed, then report",
+    "grid": "the same over lists of hyperparameters, with a heatmap",
+    "report": "draw a run folder's table and figures again",
+    "oracles": "learn the shipped oracles again",
+    "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
+    "version": "print the version",
+}
+COMMANDS = {
+    "sweep": _sweep("sweep"),
+    "grid": _sweep("grid"),
+    "report": Command(_TEXTS["report"], word="OUT", word_text="the run folder", needed=True),
+    "oracles": Command(
+        _TEXTS["oracles"],
+        (("", (Flag("--env", f"{OPTIONS['env'].allowed}, comma list (default: each)", "ENV"),)),),
+    ),
+    "reproduce": Command(
+        _TEXTS["reproduce"],
+        (
+            (
+                "",
+                (
+                    Flag("--only", f"parts ({', '.join(PARTS)}; default all)", "A,B,..."),
+                    Flag("--quick", "few short runs of each experiment"),
+                    Flag(
+                        "--out",
+                        f"folder of all runs and the report (default {folder(quick=False)})",
+                        "OUT",
+                    ),
+                    Flag("--sweeps", "folder of the TOML files (default sweeps)", "SWEEPS", default="sweeps"),
+                    Flag("--jobs", _help(OPTIONS["jobs"], "reproduce"), "N"),
+                    Flag("--dry-run", "check all, run nothing"),
+                ),
+            ),
+        ),
+    ),
+    "version": Command(_TEXTS["version"]),
+}
+
+STATUSES = """exit status:
+  0    done
+  1    the run failed: a full disk, too little memory, a process that was killed; what is finished is kept
+  2    a mistake in the command, a file of settings or a folder; nothing was run
+  130, 143, 129
+       stopped by Ctrl-C, SIGTERM, SIGHUP; what is finished is kept, the same command goes on from there
+  141  nobody reads the output any more
+"""
+
+
+def build() -> argparse.ArgumentParser:
+    """The parser of all commands, for its help."""
+    return _parsers()[""]
+
+
+def _parsers() -> dict[str, argparse.ArgumentParser]:
+    """That of each command by its name, and under no name that of all."""
+    parser = argparse.ArgumentParser(
+        prog="gpcjax",
+        description="Teach controllers by corrective advice, many at once.",
+        epilog=STATUSES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    parsers = {"": parser}
+    for name, command in COMMANDS.items():
+        text = command.text
+        usage = f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]" if name in ("sweep", "grid") else None
+        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", usage=usage)
+        if command.word:
+            nargs = None if command.needed else "?"
+            sub.add_argument(command.word.lower(), nargs=nargs, metavar=command.word, help=command.word_text)
+        for title, flags in command.groups:
+            group = sub.add_argument_group(title) if title else sub
+            for flag in flags:
+                if flag.metavar:
+                    group.add_argument(flag.name, metavar=flag.metavar, help=flag.text)
+                else:
+                    action = argparse.BooleanOptionalAction if flag.negative else "store_true"
+                    group.add_argument(flag.name, action=action, help=flag.text)
+        parsers[name] = sub
+    return parsers
+
+
+def _help_and_end(name: str) -> NoReturn:
+    print(_parsers()[name].format_help(), end="", flush=True)
+    raise SystemExit(0)
 
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
-    """Read the words after `gpcjax`.
+    """Read the words after `gpcjax`: `command`, the command's word, and a value for each of its flags.
+
+    Values stay texts; a switch is true or false, and one with a negative None where neither was given. `--help` and
+    `--version` print and end the process.
 
     Raises:
-        UserError: a command or flag that is not known (with the nearest one), or a value too few or too many.
+        UserError: a command or flag that is not known (with the nearest one), a flag given twice, or a value too few
+            or too many.
     """
-    parser = build()
-    if words and not words[0].startswith("-") and words[0] not in COMMANDS:
-        near = suggestion(words[0], COMMANDS)
-        raise UserError(f"{shown(words[0])} is no command{near}: give {', '.join(COMMANDS)}")
-    arguments, rest = parser.parse_known_args(_joined(words))
-    if rest:
-        if not rest[0].startswith("-"):
-            raise UserError(f"{shown(rest[0])} is one value too many: see gpcjax {arguments.command} --help")
-        name, flags = rest[0].partition("=")[0], _flags(arguments.command)
-        raise UserError(f"{shown(name)} is no flag{suggestion(name, flags)}: give {', '.join(flags)}")
-    return arguments
+    first, *rest = words
+    if first in ("-h", "--help"):
+        _help_and_end("")
+    if first == "--version":
+        return argparse.Namespace(command="version")
+    if first.startswith("-"):
+        raise UserError("COMMAND is missing: see gpcjax --help")
+    if first not in COMMANDS:
+        near = suggestion(first, COMMANDS)
+        raise UserError(f"{shown(first)} is no command{near}: give {', '.join(COMMANDS)}")
+    before_dashes = rest[: rest.index("--")] if "--" in rest else rest
+    if "--help" in before_dashes or "-h" in before_dashes:
+        _help_and_end(first)
+    command = COMMANDS[first]
+    values = _read(first, command, rest)
+    return argparse.Namespace(command=first, **values)
+
+
+def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | bool | None]:
+    """The command's values by key, from the words behind its name."""
+    values: dict[str, str | bool | None] = {
+        flag.key: flag.default if flag.metavar or flag.negative else False for flag in command.flags
+    }
+    if command.word:
+        values[command.word.lower()] = None
+    meaning = {flag.name: (flag, True) for flag in command.flags}
+    meaning |= {f"--no-{flag.name[2:]}": (flag, False) for flag in command.flags if flag.negative}
+    given: set[str] = set()
+
+    def keep(key: str, said: str, value: str | bool) -> None:
+        if key in given:
+            raise UserError(f"{said} is given twice: give it once")
+        given.add(key)
+        values[key] = value
+
+    left, only_words = list(reversed(words)), False
+    while left:
+        word = left.pop()
+        if word == "--" and not only_words:
+            only_words = True
+        elif only_words or not word.startswith("-") or word == "-":
+            if not command.word or command.word.lower() in given:
+                raise UserError(f"{shown(word)} is one value too many: see gpcjax {name} --help")
+            keep(command.word.lower(), shown(word), word)
+        else:
+            said, equals, value = word.partition("=")
+            if said not in meaning:
+                near = suggestion(said, command.names)
+                raise UserError(f"{shown(said)} is no flag{near}: give {', '.join(command.names)}")
+            flag, on = meaning[said]
+            if not flag.metavar:
+                if equals:
+                    raise UserError(f"{said} {shown(value)}: a switch takes no value, give {said} alone")
+                keep(flag.key, said, on)
+                continue
+            if not equals:
+                if not left or _is_flag(left[-1]):
+                    raise UserError(f"{said} has no value: give {flag.value}")
+                value = left.pop()
+            keep(flag.key, said, value)
+    if command.needed and command.word.lower() not in given:
+        raise UserError(f"{command.word} is missing: see gpcjax {name} --help")
+    return values
+
+
+def _is_flag(word: str) -> bool:
+    """Whether a word is a flag and no value: `-0.1,0.2` and `-inf` are values."""
+    return word.startswith("--") or word == "-h"
 
 
 def settings(arguments: argparse.Namespace) -> dict[str, Given]:
@@ -93,68 +287,3 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given]:
             checked = value if option.kind is bool else parse(option, value, option.flag)
             given[option.name] = Given(checked, option.flag)
     return given
-
-
-def _add_sweep(command: Parser) -> None:
-    command.add_argument("toml", nargs="?", metavar="TOML", help="a file with these names as keys; flags win")
-    command.add_argument("--dry-run", action="store_true", help="check all, say how many cells, run nothing")
-    command.add_argument("--quick", action="store_true", help="with the settings of the file's table [quick]")
-    for title, options in _GROUPS:
-        group = command.add_argument_group(title)
-        for option in options:
-            if option.kind is bool:
-                group.add_argument(option.flag, action=argparse.BooleanOptionalAction, help=_help(option))
-            else:
-                group.add_argument(option.flag, metavar=_metavar(option), help=_help(option))
-
-
-def _add_reproduce(command: Parser) -> None:
-    command.add_argument("--only", metavar="A,B,...", help=f"parts ({', '.join(PARTS)}; default all)")
-    command.add_argument("--quick", action="store_true", help="few short runs of each experiment")
-    command.add_argument("--out", help=f"folder of all runs and the report (default {folder(quick=False)})")
-    command.add_argument("--sweeps", default="sweeps", help="folder of the TOML files (default sweeps)")
-    command.add_argument("--jobs", metavar="N", help=_help(OPTIONS["jobs"]))
-    command.add_argument("--dry-run", action="store_true", help="check all, run nothing")
-
-
-def _help(option: Option) -> str:
-    default = option.otherwise
-    if option.default is not None:
-        values = option.default if isinstance(option.default, tuple) else (option.default,)
-        default = ",".join(str(value).removesuffix(".0") for value in values)
-    notes = [] if isinstance(option.allowed, Anything) else [str(option.allowed)]
-    if default:
-        notes.append(f"default {default}")
-    return f"{option.text} ({'; '.join(notes)})"
-
-
-def _metavar(option: Option) -> str:
-    if option.many:
-        return "A,B,..."
-    return "N" if option.kind is int else option.name.upper()
-
-
-def _flags(command: str) -> list[str]:
-    if command in ("sweep", "grid"):
-        return [
-            *(option.flag for option in OPTIONS.values()),
-            "--no-sparsify",
-            "--quick",
-            "--dry-run",
-            "--help",
-        ]
-    if command == "reproduce":
-        return ["--only", "--quick", "--out", "--sweeps", "--jobs", "--dry-run", "--help"]
-    return ["--env", "--help"] if command == "oracles" else ["--help"]
-
-
-def _joined(words: Sequence[str]) -> list[str]:
-    """`--error -0.1,0.2` as `--error=-0.1,0.2`: argparse takes a value that begins with a dash for a flag."""
-    takes_value = {option.flag for option in OPTIONS.values() if option.kind is not bool}
-    joined: list[str] = []
-    for word in words:
-        if joined and joined[-1] in takes_value and re.match(r"-[^-h]", word):
-            joined[-1] += "=" + word
-        else:
-            joined.append(word)
-    return joined

@@ -95,13 +95,80 @@ def test_reproduce(folder):
     ]
 
 
-@pytest.mark.parametrize(
-    "value", ["it's", "a b", "$HOME", "$(touch bad)", "`touch bad`", "a; touch bad", '"', "*", ""]
-)
+PROGRAMS = [
+    "$(shell touch bad)",
+    "${shell touch bad}",
+    "$(error bad)",
+    "$(file >bad)",
+    "$(eval $(shell touch bad))",
+    "$(info $(shell touch bad))x",
+    "$(touch bad)",
+    "`touch bad`",
+    "a; touch bad",
+    "a & touch bad",
+    "a | touch bad",
+    "a > bad",
+    "' touch bad '",
+    '"; touch bad; "',
+    "a' ; touch bad ; '",
+    "#",
+    "$HOME",
+    "$$",
+]
+"""Texts that make or a shell would run or fill in; a file named bad shows that one did."""
+
+
+@pytest.mark.parametrize("value", ["it's", "a b", "a ", '"', "*", "", "\\", "%s", *PROGRAMS])
 def test_a_value_is_one_word_whatever_it_holds(folder, value):
-    assert make(folder, "sweep", f"OUT={value}").returncode == 0
-    assert called(folder) == [["-m", "gpcjax", "sweep", f"--out={value}"]]
+    done = make(folder, "sweep", f"OUT={value}")
+    assert (done.returncode, called(folder)) == (0, [["-m", "gpcjax", "sweep", f"--out={value}"]])
     assert not (folder / "bad").exists()
+
+
+@pytest.mark.parametrize("value", PROGRAMS)
+def test_no_variable_of_any_target_is_a_program(folder, value):
+    """Also with `make -e`, where those of the environment count, and where .venv is still to be made."""
+    every = [f"{name}={value}" for name in VARIABLES if name != "ARGS"]
+    for target, words in (
+        ("sweep", every),
+        ("grid", every),
+        ("report", [f"OUT={value}"]),
+        ("oracles", [f"ENV={value}"]),
+        ("reproduce", [f"{name}={value}" for name in ("QUICK", "ONLY", "OUT", "JOBS")]),
+        ("help", []),
+    ):
+        assert make(folder, target, *words).returncode == 0, target
+        make(folder, "-e", target, **dict(word.split("=", 1) for word in words))
+        make(folder, target, **dict(word.split("=", 1) for word in words))
+    (folder / ".venv" / ".ready").unlink()
+    make(folder, "report", f"PYTHON={value}")
+    assert not (folder / "bad").exists()
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("--beta 1,2 --out 'a b'", ["--beta", "1,2", "--out", "a b"]),
+        ('--out "it\'s"  --x', ["--out", "it's", "--x"]),
+        ("a\\ b", ["a b"]),
+        ("$HOME *", ["$HOME", "*"]),
+        ("  ", []),
+        ("%s -n", ["%s", "-n"]),
+        ("a\ntouch bad", ["a", "touch", "bad"]),
+        *((value, value.split()) for value in PROGRAMS if not set(value) & set("'\"")),
+    ],
+)
+def test_args_are_words_by_their_quotes_and_nothing_more(folder, value, words):
+    for target, start in (("sweep", ["-m", "gpcjax", "sweep"]), ("test", ["-m", "pytest", "-n", "2"])):
+        assert make(folder, target, f"ARGS={value}").returncode == 0
+        assert called(folder)[-1] == [*start, *words]
+    assert not (folder / "bad").exists()
+
+
+def test_a_quote_that_never_ends_is_refused(folder):
+    done = make(folder, "sweep", "ARGS=--out 'a")
+    assert done.returncode == 2 and "quote" in done.stderr
+    assert not called(folder)
 
 
 def test_a_line_break_starts_no_command(folder):

@@ -42,7 +42,9 @@ PARTS: dict[str, Part] = {
         "Active learning and the adaptive learning rate (5.3)",
         tuple(f"{name}_{row}" for name in ABLATIONS for row in ROWS),
     ),
-    "oracles": Part("Which conclusions depend on the oracle and on delta", ("oracles_cartpole", "oracles_pendulum")),
+    "oracles": Part(
+        "Which conclusions depend on the oracle and on delta", ("oracles_cartpole", "oracles_pendulum")
+    ),
     "lander": Part("Lunar lander (5.1.3)", ("fig5_5_lunarlander", "fig5_5_lunarlander_ns")),
 }
 """The slowest last. Illustrations are computed, not swept."""

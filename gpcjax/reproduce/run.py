@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from gpcjax.errors import Failure
 from gpcjax.report import style
 from gpcjax.report.html import Picture
 from gpcjax.report.tables import Sheet, result_sheets
@@ -40,7 +41,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
 
     Raises:
         UserError: see `check`.
-        RuntimeError: a worker failed; what was finished is kept.
+        Failure: a worker failed; what was finished is kept.
     """
     check(sweeps, out, only, quick)
     make_writable(out)
@@ -84,7 +85,7 @@ def draw(out: Path, quick: bool) -> Path:
 
 def _illustrate(path: Path) -> None:
     if run_alone("gpcjax.reproduce.illustrations", str(path)):
-        raise RuntimeError("the illustrations could not be computed")
+        raise Failure("the illustrations could not be computed")
 
 
 def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:

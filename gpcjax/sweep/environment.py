@@ -1,8 +1,11 @@
 """The environment of a process that computes, to be set before it loads numpy or jax. Loads neither."""
 
+import functools
 import hashlib
 import os
 import platform
+import sys
+import tempfile
 from pathlib import Path
 
 SINGLE_THREADED = {
@@ -24,31 +27,97 @@ XLA_OPTIONS = (
 )
 """Measured in `benchmarks/README.md`: together they halve the time of a round."""
 
+CACHE = "JAX_COMPILATION_CACHE_DIR"
+"""Where XLA's programs are kept; the one variable of jax that a person may set for workers."""
+
+LET_THROUGH = frozenset(
+    "PATH HOME USER LOGNAME TMPDIR TMP TEMP TZ LANG LANGUAGE LD_LIBRARY_PATH DYLD_LIBRARY_PATH SYSTEMROOT".split()
+)
+LET_THROUGH_PREFIXES = ("LC_", "XDG_")
+"""All that a worker gets of the present environment: where things are, and in which language.
+
+Not what is known to be harmful is kept out, but all the rest: jax has a variable for each of its settings, some without
+its prefix, and XLA, equinox, OpenBLAS, numpy, glibc and Python have more. With JAX_DEBUG_NANS=1 a sweep ended, with
+JAX_PLATFORMS=cuda or a word in XLA_FLAGS that XLA does not know no worker came up, and others change the last bits.
+"""
+
+_NOTEWORTHY = ("JAX_", "XLA_", "EQX_")
+"""A person who sets these wants something of what computes, and is told that sweeps do without."""
+
 
 def computing_environment() -> dict[str, str]:
-    """One thread, and XLA's options; what is already set in XLA_FLAGS has the last word."""
-    flags = " ".join([*XLA_OPTIONS, os.environ.get("XLA_FLAGS", "")]).strip()
-    return {**SINGLE_THREADED, "XLA_FLAGS": flags}
+    """One thread, XLA's options, and the processor: what rows depend on, whatever the present environment says."""
+    return {**SINGLE_THREADED, "XLA_FLAGS": " ".join(XLA_OPTIONS), "JAX_PLATFORMS": "cpu"}
 
 
 def worker_environment() -> dict[str, str]:
-    """The present environment as a worker gets it, with compiled programs kept from one sweep to the next.
+    """A worker's environment, with compiled programs kept from one sweep to the next.
 
     XLA's programs are cached below `$XDG_CACHE_HOME/gpcjax` (`~/.cache/gpcjax`), apart for each kind of processor: what
-    is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected.
+    is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected. Where
+    nothing can be written, nothing is kept. Modules are found where this process finds them, and nowhere else.
     """
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    cache = {
-        "JAX_COMPILATION_CACHE_DIR": str(root / "gpcjax" / f"xla-{_processor_hash()}"),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name in LET_THROUGH or name.startswith(LET_THROUGH_PREFIXES)
     }
-    return {**cache, **os.environ, **computing_environment()}
+    folder = _cache_folder()
+    if not _reason_against(folder):
+        environment |= {
+            CACHE: str(folder),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        }
+    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
+    return {**environment, **computing_environment(), "PYTHONPATH": path}
+
+
+def python(module: str, *words: str) -> list[str]:
+    """The command that runs a module in a `worker_environment`: without the present folder, where anything may lie."""
+    return [sys.executable, "-P", "-m", module, *words]
+
+
+def notes() -> list[str]:
+    """What a person should know of the present environment before a sweep starts: a line for each fact."""
+    ours = {CACHE: os.environ.get(CACHE), **computing_environment()}
+    others = {name: value for name, value in os.environ.items() if name.startswith(_NOTEWORTHY)}
+    ignored = sorted(name for name, value in others.items() if ours.get(name) != value)
+    lines = [f"sweeps compute without {', '.join(ignored)} of the environment"] if ignored else []
+    folder = _cache_folder()
+    if reason := _reason_against(folder):
+        lines.append(
+            f"compiled programs are not kept, {folder or 'their folder'} cannot be written ({reason})"
+        )
+    return lines
+
+
+def _cache_folder() -> Path | None:
+    """Where compiled programs are kept; None if nobody knows where home is."""
+    if given := os.environ.get(CACHE):
+        return Path(given)
+    root = os.environ.get("XDG_CACHE_HOME", "")
+    if not os.path.isabs(root):  # as its specification has it
+        root = os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(root) / "gpcjax" / f"xla-{_processor_hash()}" if os.path.isabs(root) else None
+
+
+@functools.lru_cache
+def _reason_against(folder: Path | None) -> str:
+    """Why nothing can be kept in this folder, found out by a file in it for a moment; empty if something can."""
+    if folder is None:
+        return "no home folder is known"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return ""
+    except (OSError, ValueError) as error:
+        return getattr(error, "strerror", None) or str(error)
 
 
 def _processor_hash() -> str:
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:
         lines = [platform.processor(), platform.platform()]
     told = {line for line in lines if line.startswith(("model name", "flags", "Features")) or ":" not in line}

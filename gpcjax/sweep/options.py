@@ -4,8 +4,12 @@
 tuple without repeats where a list is possible), or raise a `UserError` that begins with where the value stood.
 """
 
+import itertools
+import math
 import numbers
 import os
+import re
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -17,6 +21,31 @@ from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS, ON_FULL
 
 LARGEST = 1_000_000
 """Bound on seeds, episodes and the cells of one sweep: what is more is a slip of the finger."""
+
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+_DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""How a flag writes numbers: Python's `int` and `float` also take other alphabets' digits, and 1_0 for ten."""
+
+
+class Written(float):
+    """A number as a flag or a file has it, which messages repeat: 1e-400 would read 0.0 in them."""
+
+    text: str
+
+    def __new__(cls, text: str) -> "Written":
+        """Of a text that `float` takes."""
+        number = super().__new__(cls, text)
+        number.text = text
+        return number
+
+    def __repr__(self) -> str:
+        return self.text
+
+    @property
+    def lost(self) -> bool:
+        """Whether float64 has zero in its place, or a subnormal number, which processors may flush to zero."""
+        mantissa = re.split("[eE]", self.text)[0]
+        return abs(self) < sys.float_info.min and any(digit in mantissa for digit in "123456789")
 
 
 @dataclass(frozen=True)
@@ -125,25 +154,38 @@ def accept(option: Option, value: Any, where: str) -> Any:
     lists = option.many or option.series
     if not lists or isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         return _checked(option, [value], where)
-    values = list(value)
+    try:
+        values = list(itertools.islice(value, LARGEST + 1))
+    except TypeError:  # an array without axes says that it can be iterated
+        return _checked(option, [value], where)
     if not values:
         raise UserError(f"{where} []: the list is empty, give {option.allowed}")
+    if len(values) > LARGEST:
+        raise UserError(f"{where}: more than {LARGEST:,} values, give fewer")
     return _checked(option, values, where)
 
 
 def shown(value: Any) -> str:
     """`value` as it stands in a message: quoted if text, and never longer than a line should be."""
-    text = repr(value).removesuffix(".0")
+    try:
+        text = " ".join(repr(value).split())
+    except (RecursionError, ValueError):  # tables in tables, or an integer of more digits than Python writes
+        text = f"of type {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _from_word(option: Option, word: str, where: str) -> Any:
+    """A word as `option.kind` has it; not a number is refused here, a number that is not allowed later."""
     if option.kind is str:
         return word
     try:
-        return option.kind(word)
+        number = option.kind(word) if option.kind is int else Written(word.strip())
     except ValueError:
         _refuse(option, word, where)
+    grammar = _INTEGER if option.kind is int else _DECIMAL
+    if grammar.fullmatch(word.strip()) or (option.kind is float and not math.isfinite(number)):
+        return number
+    _refuse(option, word, where)
 
 
 def _checked(option: Option, values: list[Any], where: str) -> Any:
@@ -159,16 +201,26 @@ def _checked(option: Option, values: list[Any], where: str) -> Any:
 
 
 def _converted(kind: type, value: Any) -> Any:
-    """`value` as exactly `kind`, or None: no text for numbers, no fractions for integers, no 0 or 1 for switches."""
+    """`value` as exactly `kind`, or None: no text for numbers, no fractions for integers, no 0 or 1 for switches.
+
+    Nor numbers that float64 cannot tell from zero: they would be another value than the one that was given.
+    """
     wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
     if not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool):
         return None
+    if kind is not float:
+        return kind(value)
     try:
-        return kind(value) + 0.0 if kind is float else kind(value)  # -0.0 becomes 0.0: one value, one cell
+        number = float(value) + 0.0  # -0.0 becomes 0.0: one value, one cell
     except OverflowError:
         return None
+    lost = value.lost if isinstance(value, Written) else value != 0 and abs(number) < sys.float_info.min
+    return None if lost else number
 
 
 def _refuse(option: Option, value: Any, where: str) -> NoReturn:
+    if isinstance(value, Written) and value.lost:
+        raise UserError(f"{where} {shown(value)}: too small for a number in float64, give {option.allowed}")
     choices = option.allowed.choices if isinstance(option.allowed, OneOf) and option.kind is str else ()
-    raise UserError(f"{where} {shown(value)}: give {option.allowed}{suggestion(value, choices)}")
+    near = suggestion(value, choices) if choices else ""
+    raise UserError(f"{where} {shown(value)}: give {option.allowed}{near}")

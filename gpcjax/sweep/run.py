@@ -7,16 +7,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
 import gpcjax
 from gpcjax.errors import UserError
-from gpcjax.sweep import machine
+from gpcjax.sweep import machine, stopping
 from gpcjax.sweep.executors import Executors, Totals
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.parts import versions_of
 from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
+from gpcjax.sweep.progress import Bar, State
 from gpcjax.sweep.runfolder import (
     DAMAGED,
     FORMAT,
@@ -68,7 +66,7 @@ def run(spec: SweepSpec, out: Path, jobs: int) -> None:
     Raises:
         UserError: `out` holds something else, another process writes there, or it was begun with other versions of
             what computes, whose rows would differ in the last bits.
-        RuntimeError: a worker failed; what was finished is kept.
+        Failure: a worker failed; what was finished is kept.
     """
     with held(out):
         check_sweep(out, spec)  # again: somebody may have been faster
@@ -80,7 +78,7 @@ def run(spec: SweepSpec, out: Path, jobs: int) -> None:
         if missing or not manifest["complete"]:
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
-            _Sweep(spec, out, manifest, store, missing).run(jobs)
+            _Sweep(spec, out, manifest, store, missing, jobs).run()
 
 
 def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
@@ -106,7 +104,13 @@ class _Sweep:
     """A sweep while it runs: rows on their way to the store, and the manifest that grows with them."""
 
     def __init__(
-        self, spec: SweepSpec, out: Path, manifest: dict[str, Any], store: Store, missing: list[Cell]
+        self,
+        spec: SweepSpec,
+        out: Path,
+        manifest: dict[str, Any],
+        store: Store,
+        missing: list[Cell],
+        jobs: int,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
         self._store, self._missing = store, missing
@@ -114,30 +118,28 @@ class _Sweep:
         self._began = self._flushed = time.monotonic()
         self._rows: list[CellRows] = []
         self._totals = Totals()
-        self._bar = _progress_bar()
-        self._task = self._bar.add_task(
-            spec.env, total=len(missing) * spec.episodes, cells=f"0/{len(missing)}", speed="compiling"
-        )
-        self._finished = 0
+        self._finished, self._jobs = 0, jobs
+        self._bar = Bar(spec.env, len(missing), max(1, min(jobs, len(missing))))
 
-    def run(self, jobs: int) -> None:
+    def run(self) -> None:
         """Until nothing is missing."""
         executors = Executors(
             self._missing,
             baselines=self._missing_baselines(),
-            jobs=jobs,
+            jobs=self._jobs,
             on_rows=self._collect,
             on_baseline=self._keep_baseline,
             on_progress=self._show,
         )
-        self._manifest["jobs"] = jobs
+        self._manifest["jobs"] = self._jobs
         self._save(complete=False)
-        with self._bar:
-            try:
-                executors.run()
-            finally:
-                self._flush()
-        self._save(complete=True)
+        with stopping.deferred():
+            with self._bar:
+                try:
+                    executors.run()
+                finally:
+                    self._flush()
+            self._save(complete=True)
 
     def _missing_baselines(self) -> list[tuple[str, str]]:
         known = self._manifest["baselines"]
@@ -169,13 +171,7 @@ class _Sweep:
 
     def _show(self, totals: Totals) -> None:
         self._totals = totals
-        seconds = max(time.monotonic() - self._began, 1e-9)
-        self._bar.update(
-            self._task,
-            completed=totals.episodes,
-            cells=f"{self._finished}/{len(self._missing)}",
-            speed=f"{totals.env_steps / seconds:,.0f}" if totals.env_steps else "compiling",
-        )
+        self._bar.show(State(self._finished, totals.env_steps, totals.works, totals.compiling))
 
     def _save(self, complete: bool) -> None:
         now = {
@@ -237,17 +233,3 @@ def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> 
     if machine.kind_of(before):  # an old manifest does not say enough to tell
         names = ", ".join(machine.differences(before, here))
         tell(f"{out}: begun on another kind of machine ({names}): last bits may differ, see its manifest")
-
-
-def _progress_bar() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[cells]} cells"),
-        TextColumn("{task.fields[speed]} env steps/s"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        refresh_per_second=4,
-    )

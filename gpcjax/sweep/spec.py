@@ -1,5 +1,6 @@
 """What a sweep is: one frozen specification made from flags, a TOML file or Python. Loads no jax."""
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -10,7 +11,7 @@ from gpcjax.allowed import suggestion
 from gpcjax.envs.registry import default_episodes, default_max_capacity, expert_names
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
-from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, accept, shown
+from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, Written, accept, shown
 
 
 @dataclass(frozen=True)
@@ -55,26 +56,81 @@ QUICK = "quick"
 """A table of settings in a TOML file that make its sweep a small one, used where that is asked for."""
 
 
+LARGEST_FILE = 1 << 18
+"""Bytes of a file of settings, at most: every setting takes a line, and a schedule of ten thousand chances fits."""
+
+DEEPEST = 16
+"""Brackets in brackets, and parts of a dotted key: settings need two of each, and `tomllib` takes time that grows with
+the square of the one and a frame of Python's stack for each of the other."""
+
+_TOKENS = re.compile(
+    r"""  "{3} (?: [^\\] | \\. )*? (?: "{3,5} | \Z)  |  '{3} .*? (?: '{3,5} | \Z)  # texts over several lines
+      | " (?: [^"\\\n] | \\[^\n] )* (?: " | $)  |  ' [^'\n]* (?: ' | $)  # and on one
+      | \# [^\n]*
+      | (?P<mark> [][{}.,=\n] )""",
+    re.VERBOSE | re.DOTALL | re.MULTILINE,
+)
+
+
 def read_toml(path: Path, quick: bool = False) -> dict[str, Given]:
     """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
 
     Raises:
-        UserError: the file is missing, is not TOML, or has a key or value that is not allowed.
+        UserError: the file is missing, is not TOML, is no file of settings by its size or depth, has a key or value
+            that is not allowed, or has no table [quick] though `quick` asks for it.
     """
-    try:
-        with open(path, "rb") as file:
-            table = tomllib.load(file)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}): give a TOML file of settings") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: this is not TOML: {error}") from None
-    except ValueError as error:  # the path has a null byte, or the file is not UTF-8
-        raise UserError(f"{path}: this is not a text file in UTF-8: {error}") from None
-    small = table.pop(QUICK, {})
+    table = _read_table(path)
+    has_small, small = QUICK in table, table.pop(QUICK, {})
     if not isinstance(small, dict):
         raise UserError(f"{path}: {QUICK} is no table: begin one with a line [{QUICK}]")
     given, fewer = _accepted(table, f"{path}: "), _accepted(small, f"{path}: [{QUICK}] ")
+    if quick and not has_small:
+        raise UserError(f"{path}: it has no table [{QUICK}]: leave --quick out, or add the table")
     return given | fewer if quick else given
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    """What a TOML file holds, its fractions as they are written."""
+    try:
+        with open(path, "rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}): give a TOML file of settings") from None
+    except ValueError as error:  # a null byte in the path
+        raise UserError(f"{path}: no file can be there ({error}): give a TOML file of settings") from None
+    if len(content) > LARGEST_FILE:
+        raise UserError(f"{path}: too large for settings: {LARGEST_FILE:,} bytes are allowed")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: this is not a text file in UTF-8: {error}") from None
+    if _depth(text) > DEEPEST:
+        raise UserError(f"{path}: too deep for settings: give them as NAME = VALUE, one a line")
+    try:
+        return tomllib.loads(text, parse_float=Written)
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # the first: not TOML, or an integer of more digits than are read
+        raise UserError(f"{path}: this is not TOML: {error}") from None
+
+
+def _depth(text: str) -> int:
+    """How deep brackets or the dots of a key go in TOML, outside of texts and comments; an estimate from above."""
+    open_brackets = dots = deepest = 0
+    for token in _TOKENS.finditer(text):
+        match token["mark"]:
+            case "[" | "{":
+                open_brackets += 1
+                dots = 0
+            case "]" | "}":
+                open_brackets = max(open_brackets - 1, 0)
+            case ".":
+                dots += 1
+            case "," | "=" | "\n":
+                dots = 0
+        deepest = max(deepest, open_brackets, dots)
+    return deepest
 
 
 def spec_of(**settings: Any) -> SweepSpec:

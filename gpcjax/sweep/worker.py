@@ -5,8 +5,8 @@ the number of processes: XLA's arithmetic may depend on how it splits work, and 
 for ever on a pool of several threads.
 
 Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Totals),
-("baseline", name, numbers), ("failed", text). Answers: ("program", Cell), ("cells", list of Cell, empty if there are no
-more), ("baseline", env, name), ("stop",).
+("compiling", whether), ("baseline", name, numbers), ("failed", line, full text or ""). Answers: ("program", Cell),
+("cells", list of Cell, empty if there are no more), ("baseline", env, name), ("stop",).
 """
 
 import ctypes
@@ -19,15 +19,18 @@ import traceback
 from collections import deque
 from multiprocessing.connection import Connection
 
+import jax
 import numpy as np
 
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.pool import Finished, Pool, Start
 from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.errors import UserError
 from gpcjax.learners.base import Status
+from gpcjax.sweep import stopping
 from gpcjax.sweep.build import make_pool, start_of
-from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.executors import FEWER, NO_MEMORY, Totals
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.store import CellRows
 
@@ -130,15 +133,46 @@ def baseline(env_name: str, name: str) -> dict[str, float]:
 
 def main() -> None:
     """Serves the connection whose descriptor is the one argument."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which says when to stop
+    for number in stopping.SIGNALS:  # they go to the parent, which says when to stop
+        signal.signal(number, signal.SIG_IGN)
+    die_with_parent()
     connection = Connection(int(sys.argv[1]))
+    tell_of_compilations(connection)
     try:
         Worker(connection).run()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         os._exit(1)  # the parent is gone
-    except Exception:
-        connection.send(("failed", traceback.format_exc()))
+    except Exception as error:
+        connection.send(("failed", *told(error)))
         raise SystemExit(1) from None
+
+
+def told(error: Exception) -> tuple[str, str]:
+    """An error in one line, and its full text where it is no fault of the machine."""
+    text = " ".join(str(error).split())
+    line = f"{type(error).__name__}{f': {text[:300]}' if text else ''}"
+    if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
+        return line + FEWER, ""
+    return line, "" if isinstance(error, OSError | UserError) else "".join(traceback.format_exception(error))
+
+
+def tell_of_compilations(connection: Connection) -> None:
+    """Sends word when XLA begins with a program and when it is there; one from the cache takes a moment only."""
+
+    def hear(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event == "/jax/core/compile/jaxpr_to_mlir_module_duration":  # what comes before
+            connection.send(("compiling", True))
+        elif event == "/jax/core/compile/backend_compile_duration":
+            connection.send(("compiling", False))
+
+    jax.monitoring.register_event_duration_secs_listener(hear)
+
+
+def die_with_parent() -> None:
+    """Has the kernel kill this process when its parent ends, where it can: during a compilation nobody looks."""
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)  # Linux alone has it
+    if prctl is not None:
+        prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 if __name__ == "__main__":

@@ -134,7 +134,7 @@ REFUSED = [
     ({"env": "cartpole", "error": {"a": 0.1}}, "error {'a': 0.1}: give a number from 0 to 1"),
     ({"env": "cartpole", "error": []}, "error []: the list is empty"),
     ({"env": "cartpole", "seeds": 0}, "seeds 0: give a whole number from 1 to 1,000,000"),
-    ({"env": "cartpole", "seeds": 2.0}, "seeds 2: give a whole number"),
+    ({"env": "cartpole", "seeds": 2.0}, "seeds 2.0: give a whole number"),
     ({"env": "cartpole", "seeds": 10**30}, "seeds 1000000000000000000000000000000: give a whole number"),
     ({"env": "cartpole", "seeds": [3]}, "seeds [3]: give a whole number"),
     ({"env": "cartpole", "episodes": -3}, "episodes -3: give a whole number"),

@@ -43,9 +43,12 @@ class TestQuick:
         spec = make_spec(read_toml(file(SOME), quick=True))
         assert spec == spec_of(env="cartpole", error=[0, 0.1], seeds=5, episodes=4)
 
-    def test_without_one_quick_changes_nothing(self, file):
+    def test_without_one_quick_is_refused(self, file):
+        """It would be the whole sweep, which nobody wanted who asked for a small one."""
         path = file(SOME.partition("[quick]")[0])
-        assert read_toml(path, quick=True) == read_toml(path)
+        with pytest.raises(UserError, match=r"a.toml: it has no table \[quick\]: leave --quick out"):
+            read_toml(path, quick=True)
+        assert make_spec(read_toml(file(SOME.partition("[quick]")[0] + "[quick]"), quick=True)).seeds == 50
 
     def test_a_dash_or_an_underscore_is_the_same_setting(self, file):
         path = file('env = "cartpole"\nmax-capacity = 64\n[quick]\nmax_capacity = 8\n')

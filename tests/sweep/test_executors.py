@@ -1,0 +1,167 @@
+"""Worker processes that fail in every way, with a few lines of Python in the place of the one that computes."""
+
+import errno
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from gpcjax.errors import Failure, UserError
+from gpcjax.sweep import executors, stopping
+from gpcjax.sweep.executors import FEWER, Executors
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.worker import told
+
+CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
+START = """
+import os, signal, sys, time
+from multiprocessing.connection import Connection
+parent = Connection(int(sys.argv[1]))
+"""
+
+
+@pytest.fixture
+def workers(monkeypatch):
+    """Has workers run this code; gives the processes that were started."""
+    started = []
+
+    def pretend(code, jobs=1, on_rows=lambda rows: None, on_progress=lambda totals: None):
+        monkeypatch.setattr(
+            executors, "python", lambda _, number: [sys.executable, "-c", START + code, number]
+        )
+        popen = subprocess.Popen
+
+        def start(*arguments, **options):
+            started.append(popen(*arguments, **options))
+            return started[-1]
+
+        monkeypatch.setattr(executors.subprocess, "Popen", start)
+        Executors(CELLS, [], jobs, on_rows, lambda *_: None, on_progress).run()
+
+    yield pretend
+    assert all(process.poll() is not None for process in started)  # none outlives the call
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("os.kill(os.getpid(), signal.SIGKILL)", f"was killed by SIGKILL, perhaps by the system for want of memory{FEWER}"),  # noqa: E501
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "was ended by SIGSEGV"),
+        ("print('no such flag', file=sys.stderr, flush=True); os.abort()", "was ended by SIGABRT: no such flag"),
+        ("import none_such", "ended with status 1: ModuleNotFoundError: No module named 'none_such'"),
+        ("print('to stdout'); sys.exit(7)", "ended with status 7"),
+        ("parent.send(('ready',)); parent.close(); os._exit(0)", "ended with status 0"),  # what is sent back finds nobody  # noqa: E501
+        ("[print('x' * 1000, file=sys.stderr) for _ in range(500)]; sys.exit('the end')", "ended with status 1: the end"),  # noqa: E501
+    ],
+)  # fmt: skip
+def test_an_end_has_its_reason(workers, code, message):
+    with pytest.raises(Failure) as failure:
+        workers(code)
+    assert str(failure.value) == f"a worker process {message}"
+    assert not failure.value.details
+
+
+def test_its_own_error_is_one_line_with_the_full_text_beside_it(workers):
+    with pytest.raises(Failure, match=r"^a worker process failed: ValueError: ours$") as failure:
+        workers("parent.send(('failed', 'ValueError: ours', 'Traceback'))")
+    assert failure.value.details == "Traceback"
+
+
+@pytest.mark.parametrize(
+    ("error", "line", "ours"),
+    [
+        (ValueError("a\nb"), "ValueError: a b", True),
+        (AssertionError(), "AssertionError", True),
+        (MemoryError(), f"MemoryError{FEWER}", False),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), f"RuntimeError: RESOURCE_EXHAUSTED: Out of memory{FEWER}", False),  # noqa: E501
+        (OSError(errno.EMFILE, "Too many open files"), "OSError: [Errno 24] Too many open files", False),
+        (UserError("env 'x': give y"), "UserError: env 'x': give y", False),
+    ],
+)  # fmt: skip
+def test_what_a_worker_tells_of_its_error(error, line, ours):
+    assert told(error)[0] == line
+    assert bool(told(error)[1]) == ours and (not ours or type(error).__name__ in told(error)[1])
+
+
+def test_one_that_cannot_be_started(workers, monkeypatch):
+    """The first is there when there is no room for the second, and ends with the call."""
+    real, calls = executors.Pipe, []
+
+    def pipe():
+        calls.append(None)
+        if len(calls) == 2:
+            raise OSError(errno.EMFILE, "Too many open files")
+        return real()
+
+    monkeypatch.setattr(executors, "Pipe", pipe)
+    with pytest.raises(Failure, match="could not be started: Too many open files, give fewer"):
+        workers("time.sleep(60)", jobs=2)
+
+
+def test_a_signal_ends_it_between_two_messages(workers):
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), stopping.deferred():
+        threading.Timer(
+            0.5, lambda: __import__("os").kill(__import__("os").getpid(), stopping.SIGNALS[0])
+        ).start()
+        workers("time.sleep(60)", jobs=2)
+    assert time.monotonic() - began < 30
+
+
+def test_a_signal_to_all_processes_is_a_stop_and_no_failure(workers):
+    """As `scancel` or the end of a service sends it: the worker may be the first to go."""
+    code = """
+outer = os.getppid()
+if os.fork() == 0:
+    time.sleep(0.1)
+    os.kill(outer, signal.SIGTERM)
+    os._exit(0)
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    got = []
+    before = executors.signal.signal(executors.signal.SIGTERM, lambda *_: got.append("SIGTERM"))
+    try:
+        with pytest.raises(stopping.Stopped), stopping.deferred():
+            workers(code)
+    finally:
+        executors.signal.signal(executors.signal.SIGTERM, before)
+    assert got == ["SIGTERM"]
+
+
+def test_progress_is_put_down_to_programs(workers):
+    cell = repr(CELLS[0])
+    seen = []
+    code = f"""
+import numpy as np
+from gpcjax.sweep.plan import Cell
+from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.store import CellRows
+parent.send(("ready",)); parent.recv()
+parent.send(("next",)); parent.recv()
+parent.send(("compiling", True)); time.sleep(1.2)
+parent.send(("compiling", False))
+parent.send(("progress", Totals(100, 2, 0.5, 1)))
+parent.send(("rows", CellRows({cell}, np.array([1, 2]), ["ok"] * 2, {{"length": np.array([30, 40])}}, {{}})))
+parent.send(("progress", Totals(150, 3, 0.5, 1)))
+time.sleep(0.7)
+os._exit(3)
+"""
+    with pytest.raises(Failure, match="status 3"):
+        workers(
+            code,
+            on_progress=lambda totals: seen.append((totals, [vars(work).copy() for work in totals.works])),
+        )
+    # While it compiled, the time went on, and it was told; not while it was starting up.
+    assert {totals.compiling for totals, _ in seen} == {False, True}
+    assert not seen[0][0].compiling and not seen[-1][0].compiling
+    totals, (work,) = seen[-1]
+    assert (totals.env_steps, totals.episodes, totals.compile_seconds) == (150, 3, 0.5)
+    assert work["steps"] == 150 and work["done_episodes"] == 3 and work["compile_seconds"] == 0.5
+    assert work["finished"] == 1 and work["finished_steps"] == 70 and work["finished_episodes"] == 2
+    assert work["begun"] == 1 and work["workers"] == 1 and work["cells"] == 4
+    assert 0.6 < work["seconds"] < 30
+    assert np.isfinite(work["recent_steps"])

@@ -1,0 +1,259 @@
+"""The estimate of the time that is left, on histories of uneven sweeps; and what is shown, and where."""
+
+import io
+import random
+from dataclasses import replace
+
+import pytest
+
+from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left
+
+TICK = 0.25
+
+
+class History:
+    """A sweep in which `jobs` workers go through programs one after the other, joining the largest in the end.
+
+    Args:
+        programs: (env, algo, cells, episodes, seconds of a step, first and last length of an episode, compile seconds).
+            An episode's length grows from the first to the last; each run does so at a pace of its own.
+        machine: how much slower than where the table of the module was measured.
+    """
+
+    def __init__(self, programs, jobs, width=32, seed=0):
+        self.random, self.jobs, self.width = random.Random(seed), jobs, width
+        self.works = [Work(env, algo, cells, episodes) for env, algo, cells, episodes, *_ in programs]
+        self.programs = programs
+        self.states = []
+        """(seconds, copies of the works) at every tick."""
+        self._run()
+
+    def _run(self):
+        now, left = 0.0, [work.cells for work in self.works]
+        workers = [self._worker(index, left) for index in range(self.jobs)]
+        while workers:
+            now += TICK
+            workers = [worker for worker in workers if next(worker, "over") != "over"]
+            self.states.append((now, [replace(work) for work in self.works]))
+
+    def _worker(self, index, left):
+        taken = self.__dict__.setdefault("taken", set())
+        while True:
+            free = [i for i, cells in enumerate(left) if cells and i not in taken]
+            least = 1 if self.works[0].env == "lunarlander" else 48
+            shared = [i for i, cells in enumerate(left) if cells >= least]
+            if not free and not shared:
+                return
+            at = free[0] if free else max(shared, key=lambda i: left[i])
+            taken.add(at)
+            yield from self._program(at, left)
+
+    def _program(self, at, left):
+        work, (*_, each, first, last, compiling) = self.works[at], self.programs[at]
+        work.workers += 1
+        work.starting += 1
+        work.joined += 1
+        most = -(-work.cells // self.jobs) if work.env == "lunarlander" else work.cells
+        for _ in range(int(compiling / TICK)):
+            work.add(0, 0, TICK)
+            yield
+        work.starting -= 1
+        runs = []  # (pace, episode, steps of it)
+        budget = 0.0
+        while True:
+            while len(runs) < self.width and left[at] and most:
+                left[at] -= 1
+                most -= 1
+                work.begun += 1
+                runs.append([self.random.uniform(0.5, 1.5), 0, 0.0, 0.0])
+            if not runs:
+                break
+            # A block takes as long with few runs in it as with many.
+            steps_each = TICK / each / max(len(runs), self.width / 4)
+            steps = episodes = 0
+            for run in runs:
+                run[2] += steps_each
+                run[3] += steps_each
+                steps += steps_each
+                while run[1] < work.episodes and run[2] >= (
+                    length := self._length(run, first, last, work.episodes)
+                ):
+                    run[2] -= length
+                    run[1] += 1
+                    episodes += 1
+            work.add(round(steps), episodes, 0.0)
+            work.seconds += TICK
+            for run in [run for run in runs if run[1] >= work.episodes]:
+                runs.remove(run)
+                work.finished += 1
+                work.finished_steps += round(run[3])
+                work.finished_episodes += work.episodes
+            yield budget
+        work.workers -= 1
+
+    @staticmethod
+    def _length(run, first, last, episodes):
+        return min(last, first + (last - first) * run[0] * run[1] / (episodes / 3))
+
+
+CARTPOLE = (
+    ("cartpole", "gpc", 300, 30, 1 / 4.4e6, 20, 2500, 5),
+    ("cartpole", "gpc-ns", 300, 30, 1 / 1.3e6, 20, 1600, 8),
+    ("cartpole", "coach", 300, 30, 1 / 5.4e6, 20, 800, 1.5),
+)
+PENDULUM = (
+    ("pendulum", "gpc", 300, 40, 1 / 1.7e6, 200, 200, 6),
+    ("pendulum", "gpc-ns", 300, 40, 1 / 3.2e5, 200, 200, 13),
+    ("pendulum", "coach", 300, 40, 1 / 6e6, 200, 200, 1.7),
+)
+LANDER = (
+    ("lunarlander", "gpc", 20, 200, 1 / 2.3e4, 150, 350, 20),
+    ("lunarlander", "coach", 20, 200, 1 / 4e4, 150, 350, 5),
+)
+
+
+def slower(programs, factor):
+    return tuple((*p[:4], p[4] * factor, *p[5:7], p[7] * factor) for p in programs)
+
+
+def cached(programs):
+    return tuple((*p[:7], 0.5) for p in programs)
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 4])
+@pytest.mark.parametrize(
+    "programs",
+    [CARTPOLE, cached(CARTPOLE), slower(CARTPOLE, 3), slower(cached(PENDULUM), 5), LANDER],
+    ids=["cartpole", "cartpole, cached", "cartpole, slow", "pendulum, slow and cached", "lander"],
+)
+def test_from_the_first_third_on_the_time_left_is_right_within_a_quarter_of_the_whole(programs, jobs):
+    states = History(programs, jobs).states
+    total = states[-1][0]
+    errors = [
+        abs(seconds_left(works, jobs) - (total - now)) / total
+        for now, works in states
+        if total / 3 < now < 0.97 * total
+    ]
+    assert max(errors) < (
+        0.25 if jobs < 4 else 0.3
+    )  # with more workers than programs, the last ones compile for little
+
+
+def test_at_the_end_nothing_is_left_and_before_the_beginning_something():
+    states = History(CARTPOLE, 2).states
+    assert seconds_left(states[-1][1], 2) == 0
+    assert seconds_left([Work(*program[:4]) for program in CARTPOLE], 2) > 1
+
+
+def test_more_workers_are_sooner_done_but_not_than_the_longest_program():
+    works = [Work(*program[:4]) for program in slower(CARTPOLE, 1)]
+    one, two, many = (seconds_left(works, jobs) for jobs in (1, 2, 64))
+    assert one > 1.2 * two and two >= many > 11.0
+
+
+def test_the_runs_that_fell_early_are_no_sample_of_those_that_stand():
+    work = Work("cartpole", "coach", cells=64, episodes=10, begun=64, finished=20)
+    work.finished_steps, work.finished_episodes = 20 * 10 * 30, 200
+    work.steps, work.done_episodes = work.finished_steps + 44 * 5 * 2000, 200 + 44 * 5
+    work.recent_steps, work.recent_episodes = 4e5, 200
+    assert work.steps_left == pytest.approx(44 * 5 * 2000)
+
+
+def test_runs_that_stopped_are_over():
+    work = Work("cartpole", "gpc", cells=4, episodes=10, begun=4, finished=4, finished_steps=50, steps=50)
+    assert work.steps_left == 0 and work.done == 1.0 and seconds_left([work], 1) == 0
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def seen(finished=3, steps=50_000):
+    work = Work("cartpole", "gpc", 10, 30, begun=10, finished=finished, steps=steps, done_episodes=150)
+    work.finished_steps, work.finished_episodes, work.seconds = steps // 2, 30 * finished, 10.0
+    return work
+
+
+class TestLogFile:
+    def test_a_line_at_the_beginning_a_line_a_minute_and_one_at_the_end(self):
+        stream, clock = io.StringIO(), Clock()
+        with Bar("cartpole", 10, 2, stream, clock) as bar:
+            for second in range(150):
+                clock.now = 100.0 + second
+                bar.show(
+                    State(finished=second // 30, steps=1000 * second, works=(seen(),), compiling=second < 70)
+                )
+        lines = stream.getvalue().splitlines()
+        assert lines[0] == "cartpole: 10 cells in 2 processes" and len(lines) == 4
+        assert lines[1].startswith("cartpole: 2/10 cells, 1,000 env steps/s, compiling, 0:") and lines[
+            1
+        ].endswith(" left")
+        assert "compiling" not in lines[2]
+        assert lines[3] == "cartpole: 4/10 cells in 2:29, 1,000 env steps/s"
+
+    def test_compiling_is_said_only_while_something_compiles(self):
+        for compiling, word in ((True, "compiling"), (False, "starting")):
+            stream, clock = io.StringIO(), Clock()
+            with Bar("cartpole", 10, 1, stream, clock) as bar:
+                clock.now += LINE_SECONDS
+                bar.show(State(compiling=compiling))
+            assert stream.getvalue().splitlines()[1] == f"cartpole: 0/10 cells, {word}"
+
+    def test_an_interruption_has_its_last_line_too(self):
+        stream = io.StringIO()
+        with pytest.raises(KeyboardInterrupt), Bar("cartpole", 10, 1, stream) as bar:
+            bar.show(State(finished=3))
+            raise KeyboardInterrupt
+        assert stream.getvalue().splitlines()[1].startswith("cartpole: 3/10 cells in 0:00")
+
+
+class Broken(io.StringIO):
+    """A terminal or a pipe whose other end is gone."""
+
+    def __init__(self, terminal):
+        super().__init__()
+        self.terminal = terminal
+
+    def isatty(self):
+        return self.terminal
+
+    def fileno(self):
+        return 1
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_sweep_goes_on_where_nobody_watches(terminal):
+    clock = Clock()
+    with Bar("cartpole", 10, 1, Broken(terminal), clock) as bar:
+        for _ in range(3):
+            clock.now += LINE_SECONDS
+            bar.show(State(finished=1, steps=10, works=(seen(),)))
+
+
+class Terminal(io.StringIO):
+    encoding = "ascii"
+
+    def isatty(self):
+        return True
+
+    def fileno(self):
+        return 1
+
+
+@pytest.mark.parametrize("columns", ["10", "200"])
+def test_a_terminal_gets_a_bar(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Terminal()
+    with Bar("cartpole", 10, 1, stream, Clock()) as bar:
+        bar.show(State(finished=3, steps=1000, works=(seen(),)))
+    if columns == "200":
+        assert "3/10 cells" in stream.getvalue() and " left" in stream.getvalue()
+    assert stream.getvalue()

@@ -1,0 +1,141 @@
+"""Signals at the command line: each is one line and a status, also a second one, and what was done is kept."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import gpcjax
+from gpcjax.sweep import stopping
+
+ROOT = Path(gpcjax.__file__).parents[1]
+CHILD = """
+import sys, time
+from types import SimpleNamespace
+from gpcjax import cli
+from gpcjax.sweep import stopping
+
+def run(spec, out, jobs):
+    {body}
+
+sys.modules["gpcjax.sweep.run"] = SimpleNamespace(run=run)
+sys.argv = ["gpcjax", "sweep", "--env=cartpole", "--out=out"]
+raise SystemExit(cli.main())
+"""
+SWEEPING = """
+    with stopping.deferred():
+        try:
+            print("ready", flush=True)
+            while True:
+                stopping.check()
+                time.sleep(0.01)
+        finally:
+            time.sleep(0.5)
+            (out / "kept").touch()
+"""
+COMPUTING = """
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+SWALLOWED = """
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    except BaseException:
+        raise ImportError("a library made this of it")
+"""
+LINE = "gpcjax: stopped: out keeps what is finished, the same command goes on from there\n"
+
+
+def start(body, folder, **options):
+    command = [sys.executable, "-c", CHILD.format(body=body.strip())]
+    environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)}
+    child = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("body", [SWEEPING, COMPUTING], ids=["in a sweep", "elsewhere"])
+def test_a_signal_is_one_line_and_its_status(tmp_path, name, body):
+    number = getattr(signal, name)
+    child = start(body, tmp_path)
+    child.send_signal(number)
+    assert child.communicate(timeout=60) == ("", LINE)
+    assert child.returncode == 128 + number
+    assert (tmp_path / "out" / "kept").exists() == (body == SWEEPING)
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.02, 0.1, 0.3])
+def test_a_second_one_changes_nothing(tmp_path, pause):
+    child = start(SWEEPING, tmp_path)
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+        child.send_signal(number)
+        time.sleep(pause)
+    out, err = child.communicate(timeout=60)
+    assert (out, err) == ("", LINE) and child.returncode == 130
+    assert (tmp_path / "out" / "kept").exists()
+
+
+def test_what_a_library_makes_of_it_is_still_a_stop(tmp_path):
+    child = start(SWALLOWED, tmp_path)
+    child.send_signal(signal.SIGTERM)
+    assert child.communicate(timeout=60) == ("", "gpcjax: stopped\n") and child.returncode == 143
+
+
+def test_what_the_shell_ignores_stays_ignored(tmp_path):
+    """Under nohup, a closed terminal ends nothing."""
+    child = start(SWEEPING, tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    child.send_signal(signal.SIGHUP)
+    time.sleep(0.2)
+    assert child.poll() is None
+    child.send_signal(signal.SIGTERM)
+    assert child.communicate(timeout=60) == ("", LINE) and child.returncode == 143
+
+
+def test_handlers_are_those_of_before_and_hear_of_it():
+    got = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: got.append(number))
+    ours = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(stopping.Stopped) as stopped, stopping.deferred():
+            assert stopping.wakeup() is not None
+            signal.raise_signal(signal.SIGTERM)
+            assert not got
+            stopping.check()
+        assert stopped.value.status == 143 and got == [signal.SIGTERM]
+        assert signal.getsignal(signal.SIGTERM) == ours and stopping.wakeup() is None
+        stopping.check()  # and it is over
+        with pytest.raises(KeyboardInterrupt), stopping.deferred():
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(OSError, match="full"), stopping.deferred():
+            signal.raise_signal(signal.SIGINT)
+            raise OSError("full")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_in_another_thread_nothing_is_changed():
+    handler, seen = signal.getsignal(signal.SIGINT), []
+
+    def work():
+        with stopping.deferred():
+            seen.append((signal.getsignal(signal.SIGINT), stopping.wakeup()))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [(handler, None)]
