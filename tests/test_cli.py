@@ -185,7 +185,10 @@ BAD = [
     ("--env cartpole --seeds 2.5", "--seeds '2.5': give a whole number from 1"),
     ("--env cartpole --episodes -3", "--episodes -3: give a whole number from 1"),
     ("--env cartpole --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
-    ("--env cartpole --oracle energy", "--oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr for cartpole"),
+    (
+        "--env cartpole --oracle energy",
+        "--oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
+    ),
     ("--env cartpole --beta 0", "--beta 0: give a number above 0"),
     ("--env cartpole --algo gpc --beta 3", "--beta: with gpc alone it changes nothing, give it with coach"),
     ("--env cartpole --seeds 1000000", "3,000,000 cells: give fewer seeds or values"),
@@ -263,7 +266,10 @@ def test_a_mistake_with_another_command_is_one_line(words, message, calls, capsy
         ('env = "cartpole"\nepisodes = nan', "a.toml: episodes nan: give a whole number"),
         ('env = "cartpole"\nalgo = []', "a.toml: algo []: the list is empty"),
         ('env = "cartpole"\nsparsify = 1', "a.toml: sparsify 1: give true or false"),
-        ('env = "pendulum"\noracle = "lqr"', "a.toml: oracle 'lqr': give gpc or energy for pendulum"),
+        (
+            'env = "pendulum"\noracle = "lqr"',
+            "a.toml: oracle 'lqr': give gpc or energy or network or mpc for pendulum",
+        ),
         ('[sweep]\nenv = "pendulum"', "a.toml: 'sweep' is no setting"),
         ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole, pendulum or lunarlander"),
         ("\udcff", "a.toml: this is not a text file in UTF-8"),

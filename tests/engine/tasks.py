@@ -35,15 +35,13 @@ class Drift(Env):
     """Two unstable coordinates, each with an action of its own; an episode ends where one passes 2.
 
     With `force` 0 the actions move nothing, so the observations are a recording: they are the same for every learner,
-    whatever its rounding errors. At step `fails_at` what `fails` names (obs, reward or start) becomes `failure` where
-    the first coordinate is positive, and is well again at the next.
+    whatever its rounding errors. With `fails_at`, what that step brings fails by quadrant, and is well again at the
+    next (see `failing`).
     """
 
     force: Float[Array, ""] = eqx.field(default=0.2, converter=parameter)
     max_steps: int = eqx.field(default=30, static=True)
     fails_at: int = eqx.field(default=1000, static=True)
-    fails: str = eqx.field(default="obs", static=True)
-    failure: float = eqx.field(default=float("nan"), static=True)
 
     name = property(lambda self: "drift")
     obs_size = property(lambda self: 2)
@@ -51,26 +49,36 @@ class Drift(Env):
 
     def reset(self, key: PRNGKeyArray) -> State:
         start = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
-        return begin(start, self._failing("start", start[0] > 0.0, start))
+        far = (start[0] > FAR) if self.fails_at < 1000 else False
+        return begin(start, jnp.where(far, jnp.nan, start))
 
     def step(self, state: State, action: Float[Array, 2]) -> State:
         at, time = state.physics, state.time + 1
         action = jnp.clip(action, -1.0, 1.0)
         push = self.force * action
         at = jnp.stack([1.06 * at[0] - 0.05 * at[1] + push[0], 1.04 * at[1] + 0.05 * at[0] + push[1]])
-        now = (time == self.fails_at) & (at[0] > 0.0)
         reward = -(at[0] * at[0] + at[1] * at[1] + 0.1 * action[0])
+        failed, failed_reward = failing(at[0], at[1])
+        obs = jnp.where(time == self.fails_at, at + failed, at)
+        reward = jnp.where(time == self.fails_at, reward + failed_reward, reward)
         return State(
             physics=at,
-            obs=self._failing("obs", now, at),
-            reward=self._failing("reward", now, reward),
+            obs=obs,
+            reward=reward,
             terminated=(jnp.abs(at[0]) > 2.0) | (jnp.abs(at[1]) > 2.0),
             truncated=time >= self.max_steps,
             time=time,
         )
 
-    def _failing(self, what: str, now: Array, value: Array) -> Array:
-        return jnp.where(now, self.failure, value) if self.fails == what else value
+
+FAR = 0.7
+"""With `fails_at`, an episode that starts further to the right has no number as its first observation."""
+
+
+def failing(x: Any, y: Any, where: Any = jnp.where) -> tuple[Any, Any]:
+    """What is added to an observation and to a reward: NaN, infinity, to the reward minus infinity, or nothing."""
+    on_the_right = where(y > 0.0, np.nan, np.inf)
+    return where(x > 0.0, on_the_right, 0.0), where((x <= 0.0) & (y > 0.0), -np.inf, 0.0)
 
 
 def expert(obs: Float[Array, 2]) -> Float[Array, 2]:
@@ -220,7 +228,7 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
             rows["returns"][episode] = np.nan
         if status != Status.OK:
             break
-    arrays = {name: np.asarray(values[:LOGGED_CORRECTIONS]) for name, values in log.items()}
+    arrays = {name: np.asarray(values[:LOGGED_CORRECTIONS]).reshape(-1, 3) for name, values in log.items()}
     return Plain(rows, arrays, int(status), state)
 
 

@@ -381,7 +381,10 @@ def test_what_kills_leave_is_removed(tmp_path, pretend):
         ({"env": "cartpol"}, "env 'cartpol'"),
         ({"error": 1.5}, "error 1.5"),
         ({"seeds": 0}, "seeds 0"),
-        ({"oracle": "energy"}, "oracle .*'energy'.*: give gpc or gpc-2 or gpc-3 or lqr for cartpole"),
+        (
+            {"oracle": "energy"},
+            "oracle .*'energy'.*: give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
+        ),
         ({"nosie": 1}, "'nosie' is no setting .did you mean noise"),
     ],
 )

@@ -143,11 +143,11 @@ REFUSED = [
     ({"env": "cartpole", "rate": 2}, "rate 2: give a number from 0 to 1"),
     (
         {"env": "cartpole", "oracle": "lrq"},
-        "oracle 'lrq': give gpc, gpc-2, gpc-3, lqr, energy or heuristic (did you mean lqr?)",
+        "oracle 'lrq': give gpc, gpc-2, gpc-3, lqr, network, mpc, energy or heuristic (did you mean lqr?)",
     ),
     (
         {"env": "cartpole", "oracle": "energy"},
-        "oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr for cartpole",
+        "oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
     ),
     ({"env": "lunarlander", "oracle": "gpc"}, "oracle 'gpc': give heuristic for lunarlander"),
     ({"env": "cartpole", "rate_schedule": [0.1, 2]}, "rate_schedule 2: give a number from 0 to 1"),
