@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+from jax.core import Tracer
 
 if os.environ.get("JAX_ENABLE_X64", "").lower() in ("0", "f", "false", "n", "no", "off"):
     warnings.warn(
@@ -42,8 +43,12 @@ _OWN = (
 def under_own_settings(function: Callable[P, R]) -> Callable[P, R]:
     """`function` with our settings of jax, whatever those of the caller are; theirs hold again when it returns.
 
-    A few microseconds where they agree, as they do in most processes. What a person's own `jit` does to arguments
-    before they arrive, or to results (an error for NaN), is theirs.
+    A few microseconds where they agree, as they do in most processes. What a person's own `jit` does with results (an
+    error for NaN) is theirs.
+
+    Raises:
+        ValueError: float64 is off and a jit, vmap or grad of the caller's own is around: it would have rounded the
+            arguments, and would finish our part of its program without float64.
     """
 
     @functools.wraps(function)
@@ -52,6 +57,13 @@ def under_own_settings(function: Callable[P, R]) -> Callable[P, R]:
         compiles = not jax.config.jax_disable_jit
         if compiles and not differ:
             return function(*args, **kwargs)
+        if not jax.enable_x64.value and any(
+            isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))
+        ):
+            raise ValueError(
+                "jax_enable_x64 is off where gpcjax is called inside jit, vmap or grad: "
+                'switch it on around them, jax.config.update("jax_enable_x64", True)'
+            )
         with ExitStack() as stack:
             if not compiles:
                 stack.enter_context(jax.disable_jit(False))
