@@ -27,7 +27,17 @@ SETTINGS = {
     "jax_threefry_partitionable": False,
     "jax_transfer_guard": "disallow",
 }
-KEY = jax.random.key(0)
+
+
+def make_inputs():
+    """What a person gives, made under jax's usual settings: each kind of key is another stream of numbers."""
+    keys = [jax.random.key(seed, impl="threefry2x32") for seed in range(3)]
+    return keys, jnp.array([0.3]), jnp.zeros(1)
+
+
+@pytest.fixture
+def inputs():
+    return make_inputs()
 
 
 @pytest.fixture
@@ -42,13 +52,14 @@ def setting(request):
 each_setting = pytest.mark.parametrize("setting", SETTINGS.items(), indirect=True, ids=list(SETTINGS))
 
 
-def everything(folder):
+def everything(folder, inputs):
     """Of each public name and method that computes: what it gives."""
     env, pendulum = gpcjax.make_env("cartpole", max_steps=5), gpcjax.make_env("pendulum", mass=1.1)
     expert, oracle = gpcjax.make_expert("cartpole", "lqr"), gpcjax.make_oracle("cartpole", "gpc", rate=0.9)
-    at, none = env.step(env.reset(KEY), np.array([0.3])), np.zeros(1)
-    yield env, pendulum, oracle.oracle, at, pendulum.step(pendulum.reset(KEY), np.array([0.1]))
-    yield expert(at.obs), oracle.target(at.obs), oracle.advise(KEY, at.obs, none)
+    keys, push, none = inputs
+    at = env.step(env.reset(keys[0]), push)
+    yield env, pendulum, oracle.oracle, at, pendulum.step(pendulum.reset(keys[1]), push)
+    yield expert(at.obs), oracle.target(at.obs), oracle.advise(keys[2], at.obs, none)
     yield gpcjax.evaluate(env, expert, 2)
     for algo in ("gpc", "gpc-ns", "coach"):
         learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 4}))
@@ -64,17 +75,17 @@ def everything(folder):
 
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory):
-    return [jax.tree.leaves(each) for each in everything(tmp_path_factory.mktemp("as_ever"))]
+    return [jax.tree.leaves(each) for each in everything(tmp_path_factory.mktemp("as_ever"), make_inputs())]
 
 
 @each_setting
-def test_every_number_is_the_same(setting, expected, tmp_path):
-    got = [jax.tree.leaves(each) for each in everything(tmp_path)]
+def test_every_number_is_the_same(inputs, expected, setting, tmp_path):
+    got = [jax.tree.leaves(each) for each in everything(tmp_path, inputs)]
     assert_same_bits(got, expected)
     assert getattr(jax.config, setting) == SETTINGS[setting]
 
 
-def test_a_fit_without_float64(expected):
+def test_a_fit_without_float64():
     points = np.linspace(0, 3, 8)[:, None]
     call = lambda: fit(points, np.sin(points[:, 0]), 2.5, starts=[(1.0, 1.0, 0.01)])  # noqa: E731
     before = call()
@@ -82,7 +93,7 @@ def test_a_fit_without_float64(expected):
         assert_same_bits(call(), before)
 
 
-def test_float64_off_in_one_thread_only(expected):
+def test_float64_off_in_one_thread_only():
     learner, results = gpcjax.make_learner("coach", "pendulum"), []
 
     def teach():
@@ -96,13 +107,13 @@ def test_float64_off_in_one_thread_only(expected):
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
-def test_inside_a_program_without_float64_it_is_refused(transform):
+def test_inside_a_program_without_float64_it_is_refused(transform, inputs):
     learner, env = gpcjax.make_learner("gpc", "cartpole", capacity=4), gpcjax.make_env("cartpole")
     state, obs = learner.init(), jnp.ones((2, 4))
     with jax.enable_x64(False), pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
         transform(lambda obs: learner.act(state, obs))(obs[0] if transform is jax.jit else obs)
     with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64 is off"):
-        jax.jit(env.reset)(KEY)
+        jax.jit(env.reset)(inputs[0][0])
 
 
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
