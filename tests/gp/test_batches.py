@@ -144,23 +144,24 @@ from gpcjax.gp import factor
 
 rng = np.random.default_rng(0)
 learner = gpcjax.make_learner("gpc-ns", "cartpole", capacity=64)
-states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 16), learner.init())
+states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 64), learner.init())
 step = jax.jit(jax.vmap(learner.correct))
-for _ in range(60):
-    given = rng.normal(size=(16, 4)), rng.uniform(-1, 1, (16, 1)), rng.choice([-1.0, 1.0], (16, 1))
+for _ in range(30):
+    given = rng.normal(size=(64, 4)), rng.uniform(-1, 1, (64, 1)), rng.choice([-1.0, 1.0], (64, 1))
     states, info = step(states, *given)
 assert not np.asarray(info.status).any() and np.isfinite(states.policy.weights).all()
 
 def several(gram, noise, vector):
-    lowers = [factor.cholesky(gram, jnp.ones(128, bool), noise + i) for i in range(4)]
+    lowers = [factor.cholesky(gram, jnp.ones(64, bool), noise + i) for i in range(4)]
     return sum(factor.solve(lower, vector) for lower in lowers)
 
 together = jax.jit(jax.vmap(several, (None, 0, None)))
-gram, vector = jnp.exp(-jnp.abs(jnp.arange(128.0)[:, None] - jnp.arange(128.0))), jnp.ones(128)
+gram, vector = jnp.exp(-jnp.abs(jnp.arange(64.0)[:, None] - jnp.arange(64.0))), jnp.ones(64)
+print("alone", flush=True)
 
 def often():
-    for _ in range(20):
-        jax.block_until_ready(together(gram, jnp.ones(64), vector))
+    for _ in range(10):
+        jax.block_until_ready(together(gram, jnp.ones(16), vector))
 
 threads = [threading.Thread(target=often) for _ in range(4)]
 [thread.start() for thread in threads]
