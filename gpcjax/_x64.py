@@ -24,7 +24,8 @@ if os.environ.get("JAX_ENABLE_X64", "").lower() in ("0", "f", "false", "n", "no"
     )
 jax.config.update("jax_enable_x64", True)
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _OWN = (
     (jax.enable_x64, True),
@@ -54,7 +55,7 @@ def under_own_settings(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         differ = [(state, ours) for state, ours in _OWN if state.value != ours and state.value is not None]
-        compiles = not jax.config.jax_disable_jit
+        compiles = not jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
         if compiles and not differ:
             return function(*args, **kwargs)
         if not jax.enable_x64.value and any(
