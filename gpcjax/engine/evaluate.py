@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.engine import streams
 from gpcjax.envs.base import Env, State
 from gpcjax.envs.host import HostEnv
@@ -23,6 +24,7 @@ class Returns(eqx.Module):
     length: Int[Array, " starts"]
 
 
+@under_own_settings
 def evaluate(env: Env | HostEnv, policy: Function, starts: int = 100) -> Returns:
     """One episode of `policy` (obs -> action) from each of `starts` starts, none of it learned from.
 

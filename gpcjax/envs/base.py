@@ -8,6 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar, ScalarLike
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.policies.base import ByIdentity
 
 
@@ -82,6 +83,7 @@ def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:
     )
 
 
+@under_own_settings
 def parameter(value: ScalarLike) -> Scalar:
     """Converter of a physical parameter: a float64 array leaf."""
     return jnp.asarray(value, jnp.float64)

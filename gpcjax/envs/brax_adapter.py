@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.envs.base import Env, State, begin
 
 
@@ -62,6 +63,7 @@ def _strong(leaf: Any) -> Array:
     return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
 
 
+@under_own_settings
 def brax_env(env: Any, *, max_steps: int = 1000, name: str | None = None, **arguments: Any) -> BraxEnv:
     """Adapt a brax environment, given as an instance or as the name that brax knows it by.
 

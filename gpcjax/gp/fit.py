@@ -13,6 +13,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.gp import factor
 from gpcjax.gp.kernels import Kernel, correlation, sum_of_squares
 
@@ -33,6 +34,7 @@ class Fit(NamedTuple):
     log_likelihood: Float[Array, ""]
 
 
+@under_own_settings
 def log_marginal_likelihood(
     kernel: Kernel, noise: Float[Array, ""], points: Float[Array, "n d"], targets: Float[Array, " n"]
 ) -> Float[Array, ""]:
@@ -51,6 +53,7 @@ def log_marginal_likelihood(
     return -0.5 * ((whitened * whitened).sum() + log_determinant + targets.size * jnp.log(2.0 * jnp.pi))
 
 
+@under_own_settings
 def fit(
     points: Real[ArrayLike, "..."],
     targets: Real[ArrayLike, "..."],
@@ -131,7 +134,7 @@ def _climb_from_each(
         free = minimise(loss, 0.25 * width * (jnp.log(share) - jnp.log1p(-share)))
         return hyperparameters(free), -loss(free)
 
-    # One after the other: jaxlib's batched Cholesky may wait for its own pool threads for ever, a single one cannot.
+    # One after the other: together, all would take as many steps, and as many in a line search, as the longest.
     return jax.lax.map(ascend, starts)
 
 

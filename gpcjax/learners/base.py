@@ -6,6 +6,7 @@ import enum
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -193,6 +194,7 @@ class Learner(ByIdentity):
 
 @eqx.filter_jit
 def _act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    _check_precision(learner, state)
     return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
 
 
@@ -200,6 +202,7 @@ def _act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Arr
 def _uncertainty(
     learner: Learner, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
 ) -> Float[Array, " action"]:
+    _check_precision(learner, state)
     return learner._uncertainty(state, obs, action)
 
 
@@ -211,8 +214,8 @@ def _correct(
     action: Float[Array, " action"],
     advice: Float[Array, " action"],
 ) -> tuple[State, Info]:
-    # One dimension after the other: jaxlib's batched Cholesky waits for pool threads while it holds one, and two such
-    # calls at once can wait for each other for ever. A batch of one never waits.
+    # One dimension after the other, as in the engine: each is a correction of its own.
+    _check_precision(learner, state)
 
     def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
         dimension, action, advice = given
@@ -221,3 +224,16 @@ def _correct(
 
     state, info = lax.scan(one, state, (jnp.arange(learner.action_size), action, advice))
     return state, dataclasses.replace(info, status=info.status.max())
+
+
+def _check_precision(learner: Learner, state: State) -> None:
+    """Refuses a state whose numbers were cast, whoever did it. Where a function is traced: a call pays nothing."""
+    given, kept = (
+        {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
+        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init()))
+    )
+    if given - kept:
+        raise ValueError(
+            f"the learner's state holds {', '.join(sorted(given))}, where init gives {', '.join(sorted(kept))}: "
+            "cast it back, or teach from the start"
+        )

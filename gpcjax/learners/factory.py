@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess
 from gpcjax.learners.base import Learner
@@ -20,6 +21,7 @@ DEFAULT_CAPACITY = 512
 DEFAULT_NOISE = 1e-7
 
 
+@under_own_settings
 def make_learner(
     algo: str,
     env: str | None = None,

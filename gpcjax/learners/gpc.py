@@ -126,7 +126,7 @@ class GPC(Learner):
             human, action = each
             return self.human.uncertainty(human, _pair(obs, action))
 
-        # One by one: as a batch, a normalised model would be factorised at all of its sizes.
+        # One by one: a batch would be taken apart again where the model normalises (`factor.one_at_a_time`).
         return lax.map(one, (state.human, action))
 
     def _write(self, states, where, change):

@@ -1,15 +1,24 @@
 """What acts: a controller, and the policy that clips it."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-import gpcjax._x64  # noqa: F401
+from gpcjax._x64 import set_public_methods_under_own_settings
 
 
-class ByIdentity(eqx.Module):
+class Computing(eqx.Module):
+    """A module whose public methods compute in float64, and otherwise too under our own settings of jax."""
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        super().__init_subclass__(**arguments)
+        set_public_methods_under_own_settings(cls)
+
+
+class ByIdentity(Computing):
     """A module hashed and compared as an object, so that `jax.jit(env.step)` works though arrays have no hash."""
 
     def __hash__(self) -> int:
@@ -19,7 +28,7 @@ class ByIdentity(eqx.Module):
         return self is other
 
 
-class Controller(eqx.Module):
+class Controller(Computing):
     """A policy with all that does not change between corrections computed beforehand.
 
     Leaves and observations may carry further axes at the END (lanes): the engine keeps lanes last, where the

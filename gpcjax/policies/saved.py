@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.grid import Grid, GridController
 from gpcjax.policies.kernel import KernelController
@@ -25,6 +26,7 @@ FORMAT = 1
 _KINDS = ("kernel", "grid", "network")
 
 
+@under_own_settings
 def save_controller(path: str | os.PathLike[str], controller: Controller, provenance: dict[str, Any]) -> None:
     """Writes a controller without lanes; `provenance` (JSON values) goes into the card.
 
@@ -54,6 +56,7 @@ def save_controller(path: str | os.PathLike[str], controller: Controller, proven
         raise
 
 
+@under_own_settings
 def load_policy(path: str | os.PathLike[str]) -> Policy:
     """The policy saved at `path`, a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import NON_NEGATIVE, Numbers
 from gpcjax.engine.pool import Pool, Start, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
@@ -64,6 +65,7 @@ def make_pool(cell: Cell) -> Pool:
     )
 
 
+@under_own_settings
 def make_oracle(
     env_name: str,
     expert_name: str | None = None,

@@ -1,8 +1,7 @@
 """A process that runs cells: it asks for programs and cells over a connection, and sends rows back.
 
 Started by `gpcjax.sweep.executors` as `python -m gpcjax.sweep.worker DESCRIPTOR`. It computes on one thread, whatever
-the number of processes: XLA's arithmetic may depend on how it splits work, and jaxlib's batched Cholesky can wait
-for ever on a pool of several threads.
+the number of processes: XLA's arithmetic may depend on how it splits work.
 
 Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Totals),
 ("compiling", whether), ("baseline", name, numbers), ("failed", line, full text or ""). Answers: ("program", Cell),
