@@ -96,7 +96,10 @@ def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
         given = plain | changes.get(row, {})
         times = {round(variant.static_rate / 0.04) for variant in ABLATIONS.values()}
         made[row] = {
-            k: experiment(**given | {"rate": k * given.get("rate", 0.03), "first_rate": k * given.get("first_rate", 0.1)})
+            k: experiment(
+                **given
+                | {"rate": k * given.get("rate", 0.03), "first_rate": k * given.get("first_rate", 0.1)}
+            )
             for k in times
         }
     return {

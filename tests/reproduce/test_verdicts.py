@@ -73,7 +73,9 @@ class TestOneTest:
 
     def test_the_estimate_with_its_interval(self):
         assert outcome(HOLDS).shown == "1 [0, 2]"
-        assert Outcome("", Interval(0.123, 0.05, 0.25), 9, ABOVE_ZERO, decimals=2).shown == "0.12 [0.05, 0.25]"
+        assert (
+            Outcome("", Interval(0.123, 0.05, 0.25), 9, ABOVE_ZERO, decimals=2).shown == "0.12 [0.05, 0.25]"
+        )
 
 
 class TestClaim:
