@@ -246,8 +246,8 @@ def erroneous(record: Erroneous) -> Drawing:
         "Fig. 5.9: erroneous advice",
         "Fig. 5.9: one wrong advice among right ones at one state, with a short and a long length-scale of the human "
         "model. The cross is the action that it left (its rate, beside). Right: how many right ones it takes until the "
-        "action is back, over length-scales, for three numbers of the wrong advice. A small cross on the axis says "
-        "that with such a length-scale the action is at its target before that advice, so that there is none to go "
+        "action is back, over length-scales, for three numbers of the wrong advice. A small cross low in the panel "
+        "says that with such a length-scale the action is at its target before that advice: there is none to go "
         "wrong.",
     )
 

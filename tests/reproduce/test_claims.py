@@ -201,7 +201,8 @@ class TestActive:
                                    for way in ("count", "rate")}),
             ("i", {"slopes": {"gpc": -0.9}}, {"The rate of i falls more slowly than that of iii"}),
             ("i", {"first_rate": 0.02}, {"The adaptive rate of i takes bigger steps than the static rate at first"}),
-            ("iii", {"first_rate": 0.02}, {"The adaptive rate of iii takes bigger steps than the static rate at first"}),
+            ("iii", {"first_rate": 0.02}, {"The adaptive rate of iii takes bigger steps than the static rate "
+                                           "at first"}),
             ("i", {"rate": 0.05}, {"The adaptive rate of i takes smaller steps than the static rate at last",
                                    *(f"The mean rate of i (0.0386 in the thesis) is below the static 0.04 ({way})"
                                      for way in ("mean of runs", "pooled"))}),

@@ -212,7 +212,7 @@ def test_what_the_scan_cannot_show_is_marked():
     crosses = [line for line in drawing.figure.axes[5].lines if line.get_marker() == "x"]
     assert [len(line.get_xdata()) for line in crosses] == [0, 0, 2]
     np.testing.assert_array_equal(crosses[2].get_xdata(), record.scanned_length_scales[:2])
-    assert "A small cross on the axis" in drawing.caption
+    assert "A small cross low in the panel" in drawing.caption
 
 
 def test_lines_upon_each_other_differ_in_their_dashes():
