@@ -70,7 +70,7 @@ class TestOrder:
         falling = of("pendulum", early={"gpc": 1.5, "gpc-ns": 1.5, "coach": 0.3})
         assert the(falling, text.format("level")).verdict == HOLDS
         assert the(falling, text.format("slope")).verdict == REFUTED
-        rising = of("pendulum", early={"gpc": 0.1, "gpc-ns": 0.1, "coach": 0.4})
+        rising = of("pendulum", early={"gpc": 0.1, "gpc-ns": 0.1, "coach": 0.8})
         assert the(rising, text.format("level")).verdict == REFUTED
         assert the(rising, text.format("slope")).verdict == HOLDS
 
@@ -270,8 +270,9 @@ class TestOracles:
         assert circle.verdict == HOLDS
         assert "that owe nothing to GPC" in others.text and others.oracles == ("lqr", "network")
         assert others.told == "holds at lqr 0.05, network 0.05, network 0.1; refuted at lqr 0.1"
-        assert {the(tested, f"GPC outperforms GPC-NS at 20% error: cart-pole, {kind}").verdict
-                for kind in ("oracles that GPC", "oracles that owe")} == {NOT_SHOWN}  # fmt: skip
+        for kind in ("oracles that GPC", "oracles that owe"):
+            claim = the(tested, f"GPC outperforms GPC-NS at 20% error: cart-pole, {kind}")
+            assert claim.verdict not in (HOLDS, REFUTED)  # they are as good as each other
 
     def test_each_task_alone_and_both(self):
         one = {"oracles_pendulum": experiment("pendulum", oracles=("gpc", "energy"), deltas=(0.05,), seeds=6)}

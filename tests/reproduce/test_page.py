@@ -72,7 +72,8 @@ class TestPage:
         for claim in (claim for part in tested.values() for claim in part):
             # Once among the verdicts, once with what tests it.
             assert reader.text.count(claim.text) >= 2, claim.text
-            assert claim.statistic in reader.text
+            statistic = f"{claim.statistic} ({claim.remark})" if claim.remark else claim.statistic
+            assert statistic in reader.text
             assert all(escape(test.shown).replace("-", "−") in html for test in claim.tests)  # noqa: RUF001
 
     def test_every_part_has_its_heading_and_every_deviation_its_line(self, tested, html):
@@ -168,8 +169,9 @@ class TestMarkdown:
         (_, _, row) = lines_of(markdown({"pendulum": [a_claim(oracles=("gpc", "gpc-2", "lqr"))]}))
         assert row[-1] == "gpc (a circle), gpc-2 (a circle), lqr"
         text = page({"oracles": [a_claim(oracles=("gpc", "lqr", "mpc"))]}, {}, {}, {}, [], False)
-        assert "Oracles that GPC itself taught: gpc. That is a circle" in read(text).text
-        assert "Oracles that owe nothing to GPC: lqr, mpc." in read(text).text
+        told = "\n".join(read(text).text)
+        assert "Oracles that GPC itself taught: gpc. That is a circle" in told
+        assert "Oracles that owe nothing to GPC: lqr, mpc." in told
 
     def test_the_whole_report(self, results, tested):
         captions = {"pendulum": {"fig5_1_returns": "Fig. 5.1: what & how"}}
