@@ -1,6 +1,7 @@
 """The illustrations again, for many seeds: what claims about them are tested on."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -168,7 +169,8 @@ def _cartpole_state(random: np.random.Generator) -> Float[np.ndarray, " 4"]:
 
 def _consistent(algo: str, seeds: Int[np.ndarray, " seeds"]) -> Float[np.ndarray, "2 seeds advices"]:
     """Rates under advice that stays the same and that alternates, at a state of the cart-pole with a short past."""
-    learner = make_learner(algo, "cartpole", capacity=None if algo == "coach" else 16)
+    options: dict[str, Any] = {} if algo == "coach" else {"capacity": 16}  # COACH has no dictionary
+    learner = make_learner(algo, "cartpole", **options)
     draws = [np.random.default_rng([seed, 1]) for seed in seeds]
     obs = np.array([_cartpole_state(random) for random in draws])
     past = np.array([random.choice([-1.0, 1.0], HISTORY) for random in draws])
