@@ -356,7 +356,7 @@ class TestIllustrated:
         [
             ({"behind": 0.1}, "with SPARS it follows the last one"),
             ({"consistent_gpc": -0.2}, "Consistent advice keeps the learning rate high"),
-            ({"consistent_coach": -0.5}, "COACH's learning rate rises with consistent advice"),
+            ({"consistent_coach": -0.15}, "COACH's learning rate rises with consistent advice"),
             ({"rest": 0.3}, "Around the upright rest sigma_h is reduced"),
             ({"advised": 0.3}, "sigma_p is lower where advice was given"),
             ({"unconverged": -0.3}, "sigma_h marks states whose action has not converged"),

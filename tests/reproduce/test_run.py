@@ -215,7 +215,7 @@ def test_the_settings_of_another_reproduction_are_refused(sweeps, pretended, tmp
 
 def test_a_file_that_has_changed_is_refused(sweeps, pretended, tmp_path, monkeypatch):
     """What is known only when the rates are: just before that experiment would run."""
-    monkeypatch.setattr(reproduce_module, "draw", lambda out, quick: out)
+    monkeypatch.setattr(reproduce_module, "_drawn", lambda out, quick: (out, {}))
     reproduce(sweeps, tmp_path / "out", ("active",), quick=True, jobs=1)
     path, ran = sweeps / "table5_4_iii.toml", len(pretended.cells)
     path.write_text(path.read_text().replace("constant_rate = 0.01", "constant_rate = 0.02"))
@@ -232,7 +232,7 @@ def test_parts_are_chosen_in_their_own_order():
 def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
     called = []
     monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words) or 0)
-    monkeypatch.setattr(reproduce_module, "draw", lambda out, quick: out)
+    monkeypatch.setattr(reproduce_module, "_drawn", lambda out, quick: (out, {}))
     path = tmp_path / "out" / "illustrations.npz"
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
     assert called == [("gpcjax.reproduce.illustrations", str(path))]
