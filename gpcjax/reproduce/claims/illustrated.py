@@ -64,8 +64,8 @@ def _consistency(repeated: Repetitions) -> list[Claim]:
         Claim(
             "5.1.1",
             "COACH's learning rate rises with consistent advice",
-            f"log10 of COACH's rate at one state of the cart-pole at the last of {same.shape[1]} advices that are the same, "
-            "less that at the first, and less that at the last of as many that alternate; above 0",
+            f"log10 of COACH's rate at one state of the cart-pole at the last of {same.shape[1]} advices that are the "
+            "same, less that at the first, and less that at the last of as many that alternate; above 0",
             tuple(test(name, _of(repeated, values), ABOVE_ZERO, 2) for name, values in coach),
         ),
     ]
