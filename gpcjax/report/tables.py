@@ -24,7 +24,7 @@ CLOSED = f"{100 * CLOSED_GAP:.0f}%"
 WORD_COLUMNS = ("error", "algo", "difference", "section", "condition", "holds", "experiment")
 """Columns that are set to the left; the others hold numbers."""
 
-PROSE_COLUMNS = ("claim", "statistic", "verdict")
+PROSE_COLUMNS = ("claim", "statistic", "verdict", "after Holm", "oracle")
 """Columns of sentences, to the left too, in as many lines as they need."""
 
 

@@ -14,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gpcjax.engine.pool import Finished
+from gpcjax.engine.lanes import Lane
 from gpcjax.gp import regression
 from gpcjax.gp.fit import fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess, Posterior
 from gpcjax.learners.factory import make_learner
-from gpcjax.learners.gpc import GPC, GPCState
+from gpcjax.learners.gpc import GPC
 from gpcjax.learners.presets import PRESETS
+from gpcjax.reproduce.probing import angles_of, as_gpc, idle_state, look, parameters_of, sigmas, taught
 from gpcjax.reproduce.records import (
     Erroneous,
     Hyperparameters,
@@ -32,9 +33,8 @@ from gpcjax.reproduce.records import (
     read,
     write,
 )
-from gpcjax.sweep.build import make_pool, start_of
-from gpcjax.sweep.plan import plan
-from gpcjax.sweep.spec import spec_of
+from gpcjax.reproduce.repetitions import repetitions
+from gpcjax.sweep.plan import Cell
 
 __all__ = ["compute", "erroneous", "hyperparameters", "main", "plane", "read", "situations", "sparsification"]
 
@@ -47,6 +47,9 @@ CARTPOLE_STATE = (0.0, 0.0, 0.05, 0.1)
 SHORT, LONG = 0.1, 1.0
 """l_h of Fig. 5.9, which gives no numbers: about those of Table 5.2 (0.2 for GPC, 0.5 for GPC-NS)."""
 
+REPEATED = 30
+"""Runs and draws behind a claim about an illustration, which itself shows one."""
+
 
 def compute(out: Path) -> None:
     """Computes all illustrations and writes them to `out`, whole or not at all.
@@ -54,15 +57,19 @@ def compute(out: Path) -> None:
     Raises:
         OSError: the folder is missing or cannot be written.
     """
+    seeds = range(REPEATED)
+    (cell, *_), early = taught(EARLY, seeds)
+    (last, *_), late = taught(LATE, seeds)
     write(
         out,
         Illustrations(
             hyperparameters=hyperparameters(),
             situations=situations(),
-            early=plane(EARLY),
+            early=plane_of(cell, early[0]),
             sparsification=sparsification(),
-            late=plane(LATE),
+            late=plane_of(last, late[0]),
             erroneous=erroneous(),
+            repetitions=repetitions(early, late, (SHORT, LONG)),
         ),
     )
 
@@ -120,18 +127,18 @@ def _regression(
 
 def situations() -> Situations:
     """Fig. 3.2, with the lander's hyperparameters (Table 5.3), which are for unscaled states."""
-    learner = _gpc(make_learner("gpc", obs_size=1, action_size=1, capacity=8))
+    learner = as_gpc(make_learner("gpc", obs_size=1, action_size=1, capacity=8))
     x, actions = np.linspace(-1.5, 1.5, 181), np.linspace(-0.6, 1.0, 161)
-    here, state, rows = np.zeros(1), _idle(learner), []
+    here, state, rows = np.zeros(1), idle_state(learner), []
     for advice in (1.0, 1.0, 0.0, 0.0):
         action = learner.act(state, here)
         after, info = learner.correct(state, here, action, [advice])
-        seen = _look(learner, state, x[:, None])
+        seen = look(learner, state, x[:, None])
         rows.append(
             {
                 "policy": seen["policy"],
                 "sigma_policy": seen["sigma_policy"],
-                "sigma_human": _sigmas(learner, state, here, actions[:, None]),
+                "sigma_human": sigmas(learner, state, here, actions[:, None]),
                 "action": action,
                 "sigma_human_there": info.sigma_human,
                 "advice": np.array([advice]),
@@ -140,31 +147,29 @@ def situations() -> Situations:
         )
         state = after
     stacked = {name: np.stack([np.squeeze(row[name]) for row in rows]) for name in rows[0]}
-    return Situations(x=x, actions=actions, parameters=_parameters(learner), **stacked)
+    return Situations(x=x, actions=actions, parameters=parameters_of(learner), **stacked)
 
 
 def plane(episodes: int, seed: int = 0, angles: int = 181, velocities: int = 145) -> Plane:
-    """Figs. 3.3 and 5.3: the pendulum after so many episodes with a teacher that does not err.
+    """Figs. 3.3 and 5.3: the pendulum after so many episodes with a teacher that does not err (`probing.taught`)."""
+    (cell,), (lane,) = taught(episodes, [seed])
+    return plane_of(cell, lane, angles, velocities)
 
-    It is the run of a sweep with these settings: task, preset and teacher are a sweep's defaults.
-    """
-    spec = spec_of(env="pendulum", algo="gpc", episodes=episodes, seeds=seed + 1)
-    cell = next(cell for cell in plan(spec) if cell.seed == seed)
-    starts, finished = iter([start_of(cell)]), list[Finished]()
-    make_pool(cell).run(lambda: next(starts, None), finished.append)
-    lane = finished[0].lane
-    learner = _gpc(lane.learner)
+
+def plane_of(cell: Cell, lane: Lane, angles: int = 181, velocities: int = 145) -> Plane:
+    """What the learner of a finished lane holds over the pendulum's plane."""
+    learner = as_gpc(lane.learner)
     theta, theta_dot = np.linspace(-np.pi, np.pi, angles), np.linspace(-8.0, 8.0, velocities)
     grid = np.stack([*np.broadcast_arrays(np.cos(theta), np.sin(theta), theta_dot[:, None])], -1)
     # A row at a time: all matrices of all places at once would take gigabytes.
-    rows = [_look(learner, lane.state, row) for row in grid]
+    rows = [look(learner, lane.state, row) for row in grid]
     maps = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     return Plane(
         theta=theta,
         theta_dot=theta_dot,
         rate=maps["sigma_policy"] + maps["sigma_human"] + float(learner.constant_rate),
-        dictionary=_angles(lane.state.policy),
-        advised=_angles(lane.state.human),
+        dictionary=angles_of(lane.state.policy),
+        advised=angles_of(lane.state.human),
         returns=np.asarray(lane.rows.returns),
         settings=np.array(
             [
@@ -172,7 +177,7 @@ def plane(episodes: int, seed: int = 0, angles: int = 181, velocities: int = 145
                 for name in ("env", "oracle", "error", "delta", "rate", "seed", "episodes")
             ]
         ),
-        parameters=_parameters(learner),
+        parameters=parameters_of(learner),
         **maps,
     )
 
@@ -184,8 +189,8 @@ def sparsification(advices: int = 12) -> Sparsification:
     }
     obs = np.array(CARTPOLE_STATE)
     for sparsify in (False, True):
-        learner = _gpc(make_learner("gpc", "cartpole", capacity=16, sparsify=sparsify))
-        state, seen = _idle(learner), []
+        learner = as_gpc(make_learner("gpc", "cartpole", capacity=16, sparsify=sparsify))
+        state, seen = idle_state(learner), []
         for _ in range(advices):
             action = float(learner.act(state, obs)[0])
             state, info = learner.correct(state, obs, [action], [1.0])
@@ -194,7 +199,7 @@ def sparsification(advices: int = 12) -> Sparsification:
         for column, values in zip(rows.values(), zip(*seen, strict=True), strict=True):
             column.append(list(values))
     arrays = {name: np.array(values) for name, values in rows.items()}
-    return Sparsification(state=obs, parameters=_parameters(learner), **arrays)
+    return Sparsification(state=obs, parameters=parameters_of(learner), **arrays)
 
 
 def erroneous(advices: int = 16, wrong: int = 3, target: float = 1.0, tolerance: float = 0.05) -> Erroneous:
@@ -207,7 +212,7 @@ def erroneous(advices: int = 16, wrong: int = 3, target: float = 1.0, tolerance:
     runs, samples, parameters = [], [], []
     for algo in algorithms:
         learners = {
-            scale: _gpc(make_learner(algo, "cartpole", capacity=16, human_length_scale=scale))
+            scale: as_gpc(make_learner(algo, "cartpole", capacity=16, human_length_scale=scale))
             for scale in {*scanned, SHORT, LONG}
         }
         runs.append([_advise(learners[scale], advices, wrong, target, tolerance) for scale in (SHORT, LONG)])
@@ -217,7 +222,7 @@ def erroneous(advices: int = 16, wrong: int = 3, target: float = 1.0, tolerance:
                 for scale in scanned
             ]
         )
-        parameters.append(_parameters(make_learner(algo, "cartpole"), "l_h"))
+        parameters.append(parameters_of(make_learner(algo, "cartpole"), "l_h"))
     stacked = {name: np.array([[run[name] for run in pair] for pair in runs]) for name in runs[0][0]}
     return Erroneous(
         algorithms=np.array(algorithms),
@@ -244,7 +249,7 @@ def _advise(learner: GPC, advices: int, wrong: int, target: float, tolerance: fl
     """
     names = ("advice", "rate", "sigma_policy", "sigma_human")
     columns: dict[str, Any] = {name: np.full(advices, np.nan) for name in names}
-    actions, samples, state = np.full(advices + 1, np.nan), np.nan, _idle(learner)
+    actions, samples, state = np.full(advices + 1, np.nan), np.nan, idle_state(learner)
     actions[0] = 0.0
     for k in range(advices):
         if target - actions[k] < tolerance:
@@ -258,59 +263,6 @@ def _advise(learner: GPC, advices: int, wrong: int, target: float, tolerance: fl
         if np.isnan(samples) and k >= wrong and actions[k + 1] >= actions[wrong - 1]:
             samples = k + 1 - wrong
     return {"action": actions, "samples": samples, **columns}
-
-
-@eqx.filter_jit
-def _idle(learner: GPC) -> GPCState:
-    return learner.init()
-
-
-@eqx.filter_jit
-def _look(learner: GPC, state: GPCState, observations: Any) -> dict[str, Float[Array, " n"]]:
-    """The action of a learner with one dimension at each observation, and the uncertainties a correction would meet."""
-    policy = jax.tree.map(lambda leaf: leaf[0], state.policy)
-
-    def at(obs: Float[Array, " obs"]) -> dict[str, Float[Array, ""]]:
-        action = learner.act(state, obs)
-        sigma_policy = learner.policy.uncertainty(policy, obs)
-        sigma_human = learner.uncertainty(state, obs, action)[0]
-        return {"policy": action[0], "sigma_policy": sigma_policy, "sigma_human": sigma_human}
-
-    return jax.vmap(at)(observations)
-
-
-@eqx.filter_jit
-def _sigmas(learner: GPC, state: GPCState, obs: Any, actions: Any) -> Float[Array, "n action"]:
-    return jax.vmap(lambda action: learner.uncertainty(state, obs, action))(actions)
-
-
-def _angles(posterior: Posterior) -> Float[np.ndarray, "points 2"]:
-    """(theta, theta_dot) of a dictionary's points, (cos, sin, theta_dot) as observed."""
-    points = np.asarray(posterior.points[0])[: int(posterior.count[0])]
-    return np.stack([np.arctan2(points[:, 1], points[:, 0]), points[:, 2]], -1)
-
-
-def _gpc(learner: Any) -> GPC:
-    if not isinstance(learner, GPC):
-        raise TypeError(f"{type(learner).__name__} is no GPC learner")
-    return learner
-
-
-def _parameters(learner: Any, *without: str) -> np.ndarray:
-    """The learner's hyperparameters in the thesis' symbols, "c_h = 0.01" and so on."""
-    human, policy = learner.human.kernel, learner.policy.kernel
-    numbers = {
-        "c_h": human.variance,
-        "l_h": human.length_scale,
-        "c_p": policy.variance,
-        "l_p": policy.length_scale,
-        "nu_p": policy.smoothness,
-        "c_r": learner.constant_rate,
-        "sigma_n^2": learner.policy.noise,
-    }
-    lines = [f"{name} = {float(value):g}" for name, value in numbers.items() if name not in without]
-    weights = ", ".join(f"{float(weight):g}" for weight in learner.scaling)
-    return np.array([*lines, "w = 1 / sigma_m" if learner.policy.normalise else f"w = {weights}"])
 
 
 def main() -> None:

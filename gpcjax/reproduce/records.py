@@ -128,6 +128,35 @@ class Erroneous(NamedTuple):
     """A row for each algorithm; but for l_h."""
 
 
+class Repetitions(NamedTuple):
+    """What claims about the illustrations are tested on: numbers of many runs or draws, of which the figures show one.
+
+    The first five speak of GPC on the pendulum (`Plane`); a pair is what is compared. Values that a run does not
+    have are NaN.
+    """
+
+    seeds: Int[np.ndarray, " seeds"]
+    rest: Float[np.ndarray, "2 seeds"]
+    """Mean sigma_h of the taught policy's actions around the upright rest (0), and elsewhere (1); late."""
+    advised: Float[np.ndarray, "2 seeds"]
+    """Mean sigma_p where advice was given (0), and over the whole plane (1); late."""
+    unconverged: Float[np.ndarray, "2 2 seeds"]
+    """Mean sigma_h at visited states whose action is farther than delta from its target (0), or nearer (1); early (0)
+    and late (1)."""
+    behind: Float[np.ndarray, "2 seeds"]
+    """As `Sparsification`, but of mixed advice: largest distance of the action from the average of all targets with
+    plain appending (0), from the last target with SPARS (1)."""
+    algorithms: Text
+    consistent: Float[np.ndarray, "algos 2 seeds advices"]
+    """Learning rate at each of several advices at one state that are all the same (0), or alternate (1)."""
+    compensated: Text
+    """Algorithms of `samples`."""
+    length_scales: Float[np.ndarray, " 2"]
+    """l_h of `samples`, short and long."""
+    samples: Float[np.ndarray, "compensated 2 seeds"]
+    """As in `Erroneous`, for other targets and numbers of the inverted advice."""
+
+
 class Illustrations(NamedTuple):
     """All of them, in the thesis' order."""
 
@@ -143,6 +172,7 @@ class Illustrations(NamedTuple):
     """Fig. 5.3"""
     erroneous: Erroneous
     """Fig. 5.9"""
+    repetitions: Repetitions
 
 
 def write(path: Path, illustrations: Illustrations) -> None:

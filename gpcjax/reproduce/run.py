@@ -1,28 +1,27 @@
 """Runs the experiments of a reproduction, as far as they are not done, and draws what it shows. Loads no jax."""
 
-import csv
 import functools
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from gpcjax.errors import Failure
 from gpcjax.report import style
 from gpcjax.report.html import Picture
+from gpcjax.report.style import Drawing
 from gpcjax.report.tables import Sheet, result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import claims
-from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS, check
+from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
-from gpcjax.reproduce.verdicts import Claim
+from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
+from gpcjax.sweep.plan import count
 from gpcjax.sweep.run import run
-from gpcjax.sweep.runfolder import check_sweep, make_writable
+from gpcjax.sweep.runfolder import MANIFEST, check_sweep, make_writable, read_manifest
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
 
@@ -31,6 +30,9 @@ ILLUSTRATIONS = "illustrations.npz"
 
 def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: int) -> Path:
     """Runs what is missing of these parts, and draws all parts that are there; gives the report.
+
+    Says on the standard error, a line each: what an experiment costs before it runs, and at the end how many claims met
+    which verdict.
 
     Args:
         sweeps: where the TOML files are.
@@ -43,49 +45,81 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
         UserError: see `check`.
         Failure: a worker failed; what was finished is kept.
     """
-    check(sweeps, out, only, quick)
+    experiments = check(sweeps, out, only, quick)
     make_writable(out)
-    console = Console(stderr=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    place = 0
     for part in only:
         console.print(PARTS[part].title, style="bold")
         if part == "illustrations" and not (out / ILLUSTRATIONS).exists():
+            console.print("illustrations: computed once, about a minute")
             _illustrate(out / ILLUSTRATIONS)
         for name in PARTS[part].experiments:
             spec = _spec(sweeps / f"{name}.toml", out, quick)
             check_sweep(out / name, spec)
             make_writable(out / name)
+            place += 1
+            console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
             run(spec, out / name, jobs)
-    return draw(out, quick)
+    report, tested = _drawn(out, quick)
+    console.print(counted([claim for each in tested.values() for claim in each]))
+    return report
 
 
 def draw(out: Path, quick: bool) -> Path:
-    """Writes figures, claims and the page from what `out` holds."""
+    """Writes figures, claims and the page from what `out` holds; gives the page."""
+    return _drawn(out, quick)[0]
+
+
+def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
     results = _results(out)
     shown = records.read(out / ILLUSTRATIONS) if (out / ILLUSTRATIONS).exists() else None
     tested, drawn = claims(results, shown), _figures(results, shown)
     pictures: dict[str, list[Picture]] = {}
-    for (part, name), (figure, alternative, caption) in drawn.items():
-        svg = style.image(figure, "svg")
-        pictures.setdefault(part, []).append(Picture(svg, figure.get_figwidth(), alternative, caption))
+    captions: dict[str, dict[str, str]] = {}
+    for (part, name), drawing in drawn.items():
+        figure, svg = drawing.figure, style.image(drawing.figure, "svg")
+        pictures.setdefault(part, []).append(
+            Picture(svg, figure.get_figwidth(), drawing.alternative, drawing.caption)
+        )
+        captions.setdefault(part, {})[name] = drawing.caption
         make_writable(out / "figures")
         for kind in ("png", "pdf"):
             write_atomic(out / "figures" / f"{name}.{kind}", style.image(figure, kind))
     stored = {name: results[name] for part in PARTS.values() for name in part.experiments if name in results}
     command = "make reproduce" + (" QUICK=1" if quick else "")
-    write_atomic(out / "claims.csv", _csv(tested))
+    write_atomic(out / "claims.csv", page.csv_of(tested))
     write_atomic(out / "claims.md", page.markdown(tested))
-    captions: dict[str, dict[str, str]] = {}
-    for (part, name), (_, _, caption) in drawn.items():
-        captions.setdefault(part, {})[name] = caption
     write_atomic(out / "report.md", page.markdown_report(tested, captions, stored, [command]))
     report = out / "report.html"
     write_atomic(report, page.page(tested, pictures, _sheets(results), stored, [command], quick))
-    return report
+    return report, tested
 
 
 def _illustrate(path: Path) -> None:
     if run_alone("gpcjax.reproduce.illustrations", str(path)):
         raise Failure("the illustrations could not be computed")
+
+
+EPISODE_SECONDS = {"cartpole": 0.003, "pendulum": 0.002, "lunarlander": 0.01}
+LANDER_NS_SECONDS = 0.24
+COMPILING_SECONDS = 8.0
+"""About what an episode takes of one core (two cores of an AMD EPYC; GPC-NS on the lander apart), and what an
+experiment takes until its programs are there: for a guess of minutes, no more."""
+
+
+def _cost(spec: SweepSpec, out: Path, jobs: int) -> str:
+    """Runs and episodes of an experiment, and about how long they take."""
+    cells = count(spec)
+    size = f"{cells:,} runs of {spec.episodes} episodes"
+    if (out / MANIFEST).exists() and read_manifest(out)["complete"]:
+        return f"{size}, done"
+    each = EPISODE_SECONDS.get(spec.env, max(EPISODE_SECONDS.values()))
+    slow = cells / len(spec.algo) if spec.env == "lunarlander" and "gpc-ns" in spec.algo else 0.0
+    work = spec.episodes * (each * (cells - slow) + LANDER_NS_SECONDS * slow)
+    seconds = COMPILING_SECONDS + work / jobs
+    about = f"{max(10, 10 * round(seconds / 10))} s" if seconds < 90 else f"{round(seconds / 60)} min"
+    return f"{size}, about {about} where nothing is done yet"
 
 
 def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:
@@ -113,113 +147,38 @@ def _results(out: Path) -> dict[str, Experiment]:
 
 def _figures(
     results: Mapping[str, Experiment], shown: Illustrations | None
-) -> dict[tuple[str, str], tuple[Figure, str, str]]:
-    """By part and name of the file: the figure, what it shows in a few words, and its caption."""
-    drawn: dict[tuple[str, str], tuple[Figure, str, str]] = {}
+) -> dict[tuple[str, str], Drawing]:
+    """By part and name of the file."""
+    drawn: dict[tuple[str, str], Drawing] = {}
     if shown is not None:
-        drawn |= {("illustrations", name): figure for name, figure in _illustrations(shown)}
+        drawn |= {("illustrations", name): drawing for name, drawing in _illustrations(shown).items()}
     for part, number in (("pendulum", "5.1"), ("cartpole", "5.4"), ("lander", "5.5")):
         if part in results:
-            experiment = results[part]
-            drawn[part, f"fig{number.replace('.', '_')}_returns"] = (
-                figures.returns(experiment),
-                f"Fig. {number}",
-                f"Fig. {number}: return against episode at each error rate ({_runs(experiment)}). Strong lines: "
-                "walking mean of 3 episodes of the mean over runs, with its 95 % interval; faint lines: the mean "
-                "itself. Dashed: the oracle, with one standard deviation; dotted: the idle policy.",
-            )
+            name = f"fig{number.replace('.', '_')}_returns"
+            drawn[part, name] = figures.returns(results[part], number)
     if "pendulum" in results:
-        drawn["pendulum", "fig5_2_learning_rates"] = (
-            figures.rates(results["pendulum"]),
-            "Fig. 5.2",
-            f"Fig. 5.2: learning rate of the first 150 corrections ({_runs(results['pendulum'])}): walking mean of "
-            "3 of the mean over runs, with its 95 % interval, over the mean itself; below, normalised as in the "
-            "paper's Fig. 6, each by its largest value. A line ends where fewer than half of the runs have so many "
-            "corrections.",
-        )
-    for stem, (_, setting) in ABLATIONS.items():
+        drawn["pendulum", "fig5_2_learning_rates"] = figures.rates(results["pendulum"])
+    for stem, variant in ABLATIONS.items():
         rows = {row: results[f"{stem}_{row}"] for row in ROWS if f"{stem}_{row}" in results}
         if len(rows) == len(ROWS):
-            what = f"the rows of Table 5.4 with {setting}; cart-pole, 10 % error ({_runs(rows['i'])} each)"
             name = stem.removeprefix("table5_4")
-            drawn["active", f"fig5_7_ablation{name}"] = (
-                figures.ablation(rows),
-                "Fig. 5.7",
-                f"Fig. 5.7: {what}. Return and feedback of each episode, walking means of 3 with 95 % intervals "
-                "over the raw means; and the chance of advice that the teacher offered, which in iii and iv is "
-                "that of i and ii.",
-            )
-            drawn["active", f"fig5_8_ablation_rates{name}"] = (
-                figures.ablation_rates(rows),
-                "Fig. 5.8",
-                f"Fig. 5.8: learning rate of each correction, {what}. Walking means of 3 with 95 % intervals over "
-                "the raw means.",
-            )
-    if "oracles_cartpole" in results:
-        drawn["oracles", "oracles_cartpole"] = (
-            figures.dependence(results["oracles_cartpole"]),
-            "Dependence on oracle and delta",
-            "Cart-pole: differences in area on the same seeds, mean with 95 % interval "
-            f"({_runs(results['oracles_cartpole'])} each), for four oracles and four distances delta within which "
-            "they are silent.",
-        )
+            drawn["active", f"fig5_7_ablation{name}"] = figures.ablation(rows, variant)
+            drawn["active", f"fig5_8_ablation_rates{name}"] = figures.ablation_rates(rows, variant)
+    for name, (task, _) in DEPENDENCE.items():
+        if name in results:
+            drawn["oracles", name] = figures.dependence(results[name], task)
     return drawn
 
 
-def _illustrations(shown: Illustrations) -> Iterable[tuple[str, tuple[Figure, str, str]]]:
-    yield (
-        "fig2_2_hyperparameters",
-        (
-            sketches.hyperparameters(shown.hyperparameters),
-            "Fig. 2.2",
-            "Fig. 2.2: the same points with guessed hyperparameters and with those of largest marginal likelihood.",
-        ),
-    )
-    yield (
-        "fig3_2_three_corrections",
-        (
-            sketches.situations(shown.situations),
-            "Fig. 3.2",
-            "Fig. 3.2: a policy over one state dimension and the uncertainty of its human model, through two "
-            "corrections at x = 0 and a step without any.",
-        ),
-    )
-    yield (
-        "fig3_3_learning_rate",
-        (
-            sketches.early_plane(shown.early),
-            "Fig. 3.3",
-            "Fig. 3.3: policy and learning rate over the pendulum's state space after five episodes of advice.",
-        ),
-    )
-    yield (
-        "fig3_4_sparsification",
-        (
-            sketches.sparsification(shown.sparsification),
-            "Fig. 3.4",
-            "Fig. 3.4: the action at one state under repeated advice, with plain appending, which averages all "
-            "targets, and with SPARS, which follows them.",
-        ),
-    )
-    yield (
-        "fig5_3_state_space",
-        (
-            sketches.late_plane(shown.late),
-            "Fig. 5.3",
-            "Fig. 5.3: policy, its uncertainty and that of the human model over the pendulum's state space, after "
-            "40 episodes without errors.",
-        ),
-    )
-    yield (
-        "fig5_9_erroneous_advice",
-        (
-            sketches.erroneous(shown.erroneous),
-            "Fig. 5.9",
-            "Fig. 5.9: one wrong advice among right ones, with a short and a long length-scale of the human model. "
-            "Right: how many right ones it takes until the action is back, over length-scales. That a long one "
-            "needs more shows for GPC-NS, and not for GPC.",
-        ),
-    )
+def _illustrations(shown: Illustrations) -> dict[str, Drawing]:
+    return {
+        "fig2_2_hyperparameters": sketches.hyperparameters(shown.hyperparameters),
+        "fig3_2_three_corrections": sketches.situations(shown.situations),
+        "fig3_3_learning_rate": sketches.early_plane(shown.early),
+        "fig3_4_sparsification": sketches.sparsification(shown.sparsification),
+        "fig5_3_state_space": sketches.late_plane(shown.late),
+        "fig5_9_erroneous_advice": sketches.erroneous(shown.erroneous),
+    }
 
 
 def _sheets(results: Mapping[str, Experiment]) -> dict[str, Sequence[Sheet]]:
@@ -228,22 +187,3 @@ def _sheets(results: Mapping[str, Experiment]) -> dict[str, Sequence[Sheet]]:
         for part in ("pendulum", "cartpole", "lander")
         if part in results
     }
-
-
-def _runs(experiment: Experiment) -> str:
-    runs = sorted({group.runs for group in experiment.study.groups})
-    return f"{runs[0]} runs" if len(runs) == 1 else f"{runs[0]} to {runs[-1]} runs"
-
-
-def _csv(tested: Mapping[str, Sequence[Claim]]) -> str:
-    stream = io.StringIO()
-    rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(
-        ("part", "section", "claim", "statistic", "condition", "estimate", "lower", "upper", "n", "holds")
-    )
-    for part, each in tested.items():
-        for claim in each:
-            for test in claim.tests:
-                head = part, claim.section, claim.text, claim.statistic, test.condition
-                rows.writerow((*head, *test.value, test.runs, str(test.verdict).lower()))
-    return stream.getvalue()

@@ -1,4 +1,4 @@
-"""Draws the illustrative figures from their records. Loads no jax."""
+"""Draws the illustrative figures from their records, with their captions. Loads no jax."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from gpcjax.report import style
+from gpcjax.report.style import Drawing
 from gpcjax.report.words import algorithm
 from gpcjax.reproduce.records import Erroneous, Hyperparameters, Plane, Situations, Sparsification
 
@@ -22,6 +23,9 @@ DIVERGING, SEQUENTIAL = "RdBu_r", "cividis"
 
 BAND = 1.96
 """Standard deviations on either side that hold 95 % of a normal distribution."""
+
+SCALE_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)))
+"""Of a short and a long length-scale: where they lie upon each other, both can be seen."""
 
 ACTION = "action [-1, 1]"
 NUMBER = "advice number"
@@ -36,7 +40,7 @@ ADVICE: dict[str, Any] = {
 """A place where advice was given, on colours light and dark."""
 
 
-def hyperparameters(record: Hyperparameters) -> Figure:
+def hyperparameters(record: Hyperparameters) -> Drawing:
     """Fig. 2.2: mean and 95 % band with poor and with fitted hyperparameters."""
     titles = [
         f"{name}: $l$ = {length:.2f}, $\\log\\,p(y|X)$ = {_minus(value)}"
@@ -70,10 +74,14 @@ def hyperparameters(record: Hyperparameters) -> Figure:
                 Patch(color=BLUE, alpha=0.2, linewidth=0, label="95 % band"),
             ],
         )
-    return figure
+    return Drawing(
+        figure,
+        "Fig. 2.2: hyperparameters",
+        "Fig. 2.2: the same points with guessed hyperparameters and with those of largest marginal likelihood.",
+    )
 
 
-def situations(record: Situations) -> Figure:
+def situations(record: Situations) -> Drawing:
     """Fig. 3.2: above the policy with its uncertainty over the state, below that of the human model over the action."""
     words = {1.0: '"more"', 0.0: "no advice", -1.0: '"less"'}
     titles = [f"$t_{i + 1}$: {words[float(advice)]}" for i, advice in enumerate(record.advice)]
@@ -117,29 +125,44 @@ def situations(record: Situations) -> Figure:
                 Line2D([], [], color=VERMILION, marker="^", markersize=4, label="learning rate"),
             ],
         )
-    return figure
+    return Drawing(
+        figure,
+        "Fig. 3.2: three corrections",
+        "Fig. 3.2: a policy over one state dimension and the uncertainty of its human model, through two corrections "
+        "at x = 0 and steps without any.",
+    )
 
 
-def early_plane(record: Plane) -> Figure:
+def early_plane(record: Plane) -> Drawing:
     """Fig. 3.3: policy and learning rate of a young learner."""
     maps = [
         ("policy", record.policy, ACTION),
         ("learning rate", record.rate, r"$r = \sigma_p + \sigma_h + c_r$"),
     ]
-    return _plane(record, maps)
+    return Drawing(
+        _plane(record, maps),
+        "Fig. 3.3: policy and learning rate",
+        f"Fig. 3.3: policy and learning rate over the pendulum's state space after {len(record.returns)} episodes of "
+        "advice.",
+    )
 
 
-def late_plane(record: Plane) -> Figure:
+def late_plane(record: Plane) -> Drawing:
     """Fig. 5.3: policy and both uncertainties of a taught learner."""
     maps = [
         ("policy", record.policy, ACTION),
         ("uncertainty of the policy", record.sigma_policy, r"$\sigma_p(s)$"),
         ("of the human model", record.sigma_human, r"$\sigma_h(s, P(s))$"),
     ]
-    return _plane(record, maps)
+    return Drawing(
+        _plane(record, maps),
+        "Fig. 5.3: state space",
+        "Fig. 5.3: policy, its uncertainty and that of the human model over the pendulum's state space, after "
+        f"{len(record.returns)} episodes without errors.",
+    )
 
 
-def sparsification(record: Sparsification) -> Figure:
+def sparsification(record: Sparsification) -> Drawing:
     """Fig. 3.4: the action after each advice, and the target that each one set."""
     with style.publication():
         figure, axes = style.panels(["appending", "SPARS"])
@@ -179,10 +202,15 @@ def sparsification(record: Sparsification) -> Figure:
                 ),
             ],
         )
-    return figure
+    return Drawing(
+        figure,
+        "Fig. 3.4: sparsification",
+        "Fig. 3.4: the action at one state under repeated advice, with plain appending, which averages all targets, "
+        "and with SPARS, which follows them.",
+    )
 
 
-def erroneous(record: Erroneous) -> Figure:
+def erroneous(record: Erroneous) -> Drawing:
     """Fig. 5.9: action, rate and compensation around one erroneous advice, a row for each algorithm."""
     with style.publication():
         titles = [
@@ -201,8 +229,10 @@ def erroneous(record: Erroneous) -> Figure:
             figure,
             [
                 *(
-                    Line2D([], [], color=colour, label=f"$l_h$ = {scale:g}")
-                    for colour, scale in zip((BLUE, VERMILION), record.length_scales, strict=True)
+                    Line2D([], [], color=colour, linestyle=dashes, label=f"$l_h$ = {scale:g}")
+                    for colour, dashes, scale in zip(
+                        (BLUE, VERMILION), SCALE_DASHES, record.length_scales, strict=True
+                    )
                 ),
                 Line2D(
                     [], [], color=style.INK, marker="X", markersize=5, linestyle="none", label="wrong advice"
@@ -211,14 +241,23 @@ def erroneous(record: Erroneous) -> Figure:
                 Line2D([], [], color=style.INK, linestyle=":", label=r"$\sigma_h$"),
             ],
         )
-    return figure
+    return Drawing(
+        figure,
+        "Fig. 5.9: erroneous advice",
+        "Fig. 5.9: one wrong advice among right ones at one state, with a short and a long length-scale of the human "
+        "model. The cross is the action that it left (its rate, beside). Right: how many right ones it takes until the "
+        "action is back, over length-scales, for three numbers of the wrong advice. A small cross low in the panel "
+        "says that with such a length-scale the action is at its target before that advice: there is none to go "
+        "wrong.",
+    )
 
 
 def _runs(actions: Axes, rates: Axes, record: Erroneous, i: int) -> None:
     wrong = int(record.wrong)
-    for j, colour in enumerate((BLUE, VERMILION)):
+    for j, (colour, dashes) in enumerate(zip((BLUE, VERMILION), SCALE_DASHES, strict=True)):
         number = np.arange(record.action.shape[-1])
-        actions.plot(number, record.action[i, j], color=colour, marker="o", markersize=2.5, linewidth=1.1)
+        drawn: dict[str, Any] = {"color": colour, "linestyle": dashes, "marker": "o", "markersize": 2.5}
+        actions.plot(number, record.action[i, j], linewidth=1.1, **drawn)
         actions.plot(
             wrong,
             record.action[i, j, wrong],
@@ -228,7 +267,7 @@ def _runs(actions: Axes, rates: Axes, record: Erroneous, i: int) -> None:
             markeredgecolor=style.INK,
             zorder=4,
         )
-        rates.plot(number[1:], record.rate[i, j], color=colour, marker="o", markersize=2.5, linewidth=1.1)
+        rates.plot(number[1:], record.rate[i, j], linewidth=1.1, **drawn)
         rates.plot(number[1:], record.sigma_human[i, j], color=colour, linestyle=":", linewidth=1.2)
         rates.plot(
             wrong,
@@ -260,9 +299,11 @@ def _scan(axis: Axes, record: Erroneous, i: int) -> None:
             linewidth=0.9,
             label=f"advice {wrong} wrong",
         )
+        silent = record.scanned_length_scales[np.isnan(record.scanned_samples[i, :, k])]
+        axis.plot(silent, np.full(len(silent), 0.25 + 0.35 * k), "x", color=shade, markersize=3.5)
     known = float(record.thesis_length_scales[i])
     axis.axvline(known, color=style.INK, linewidth=0.6, linestyle=":", zorder=0)
-    axis.text(known, 0.15, " Table 5.2", fontsize=6.5)
+    axis.text(known, 1.25, " Table 5.2", fontsize=6.5)
     axis.set_xscale("log")
     ticks = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

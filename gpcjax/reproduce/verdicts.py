@@ -1,161 +1,248 @@
-"""How a claim is tested: a statistic with its interval under one condition or several, and the verdict. Loads no jax.
+"""How a claim is tested: a mean over runs with its interval under one condition or several, and the verdict in words.
 
-A test holds where the 95 % interval of its statistic lies wholly on the claimed side; "alike" means within a margin,
-wholly. Differences are between runs of the same seed. Nothing is corrected for the number of tests.
+| Word         | The 95 % interval                                   |
+|--------------|-----------------------------------------------------|
+| "holds"      | lies wholly on the claimed side                     |
+| "refuted"    | lies wholly on another side                         |
+| "not shown"  | lies across the line: the runs tell neither         |
+| "not tested" | there is none, or of fewer than `FEWEST` runs       |
+
+Differences are between runs of the same seed. Beside the plain verdicts stand those after Holm's correction, whose
+family is all tests of a part of the report. Loads no jax.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from scipy.stats import t as student
 
 from gpcjax.report import words
-from gpcjax.report.groups import Group
-from gpcjax.report.statistics import Interval, Scores, mean_interval, paired_difference
-from gpcjax.reproduce.results import Experiment
+from gpcjax.report.groups import CLOSED_GAP
+from gpcjax.report.statistics import LEVEL, Interval, mean_interval
+from gpcjax.reproduce.measures import Measure
 
 ALIKE = 0.05
 """Two returns are alike within this part of the gap from idle to oracle."""
 
-HOLDS, FAILS = "holds", "does not hold"
+CONVERGED = CLOSED_GAP
+"""Converged is a final return that closes this part of the gap from idle to oracle, on every task."""
+
+FEWEST = 5
+"""With fewer runs an interval of a mean means nothing."""
+
+MOST_NAMED = 4
+"""Conditions that a short verdict names; more are counted."""
+
+
+class Verdict(StrEnum):
+    """What becomes of a claim."""
+
+    HOLDS = "holds"
+    REFUTED = "refuted"
+    NOT_SHOWN = "not shown"
+    NOT_TESTED = "not tested"
+    MIXED = "mixed"
+    """Of a claim alone: not the same under all of its conditions."""
+
+
+HOLDS, REFUTED, NOT_SHOWN, NOT_TESTED, MIXED = Verdict
+_OF_A_TEST = (HOLDS, NOT_SHOWN, REFUTED, NOT_TESTED)
+
+
+class Claimed(NamedTuple):
+    """What a claim says of a mean: that it lies strictly between these."""
+
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+ABOVE_ZERO, BELOW_ZERO = Claimed(lower=0.0), Claimed(upper=0.0)
 
 
 @dataclass(frozen=True)
 class Test:
-    """A statistic under one condition: `verdict` is whether the claim holds there."""
+    """A mean over `runs` under one condition. `p` is of the verdict that it leans to (`p_value`), `adjusted` Holm's."""
 
     condition: str
     value: Interval
     runs: int
-    verdict: bool
+    claimed: Claimed
+    p: float = np.nan
     decimals: int = 0
+    adjusted: float = np.nan
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the plain interval."""
+        _, lower, upper = self.value
+        if self.runs < FEWEST or np.isnan(lower) or np.isnan(upper):
+            return NOT_TESTED
+        if lower > self.claimed.lower and upper < self.claimed.upper:
+            return HOLDS
+        return REFUTED if upper < self.claimed.lower or lower > self.claimed.upper else NOT_SHOWN
+
+    @property
+    def corrected(self) -> Verdict:
+        """The verdict after Holm's correction: what does not survive it is not shown."""
+        decided = self.verdict in (HOLDS, REFUTED)
+        return NOT_SHOWN if decided and not self.adjusted <= 1 - LEVEL else self.verdict
 
     @property
     def shown(self) -> str:
         """The estimate with its interval."""
         return words.interval(self.value, self.decimals)
 
+    @property
+    def told(self) -> str:
+        """The verdict, with the number of runs where they are too few."""
+        if self.verdict != NOT_TESTED:
+            return self.verdict
+        return f"{NOT_TESTED} ({self.runs} run{'' if self.runs == 1 else 's'})"
+
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: where it stands, what it says, what tests it."""
+    """One claim: where it stands, what it says, what tests it.
+
+    Fields:
+        section: of the thesis.
+        text: what it says.
+        statistic: what is measured, and which side of which line is claimed.
+        tests: one for each condition.
+        oracles: who taught in the runs behind it; empty where no oracle did.
+        most: it is claimed of most conditions, not of each.
+        remark: what else has to be known to read the verdict.
+    """
 
     section: str
     text: str
     statistic: str
     tests: tuple[Test, ...]
+    oracles: tuple[str, ...] = ()
+    most: bool = False
+    remark: str = ""
 
     @property
-    def verdict(self) -> str:
-        """Holds, holds under some of the conditions, or does not hold."""
-        holding = [test.condition for test in self.tests if test.verdict]
-        if len(holding) == len(self.tests):
-            return HOLDS
-        return f"{HOLDS} at {', '.join(holding)}" if holding else FAILS
+    def verdict(self) -> Verdict:
+        """One word for all of its conditions."""
+        return self._word([test.verdict for test in self.tests])
+
+    @property
+    def told(self) -> str:
+        """The verdict, with the conditions under which it is this and that."""
+        return self._told({test.condition: test.verdict for test in self.tests}, len(self.tests))
+
+    @property
+    def short(self) -> str:
+        """The same, with many conditions counted."""
+        return self._told({test.condition: test.verdict for test in self.tests}, MOST_NAMED)
+
+    @property
+    def corrected(self) -> str:
+        """The short verdict after Holm's correction."""
+        return self._told({test.condition: test.corrected for test in self.tests}, MOST_NAMED)
+
+    def _word(self, verdicts: Sequence[Verdict]) -> Verdict:
+        if self.most:
+            return _of_most(verdicts)
+        found = set(verdicts) or {NOT_TESTED}
+        return found.pop() if len(found) == 1 else MIXED
+
+    def _told(self, verdicts: Mapping[str, Verdict], most_named: int) -> str:
+        word = self._word(list(verdicts.values()))
+        if self.most:
+            count = sum(verdict == HOLDS for verdict in verdicts.values())
+            return f"{word} (in {count} of {len(verdicts)})"
+        if word == NOT_TESTED:
+            runs = sorted({test.runs for test in self.tests})
+            return f"{word} ({' to '.join(map(str, runs[:1] + runs[1:][-1:])) if runs else 'no'} runs)"
+        if word != MIXED:
+            return word
+        parts = []
+        for each in _OF_A_TEST:
+            where = [condition for condition, verdict in verdicts.items() if verdict == each]
+            if where:
+                named = ", ".join(where) if len(where) <= most_named else f"{len(where)} of {len(verdicts)}"
+                parts.append(f"{each} at {named}")
+        return "; ".join(parts)
 
 
-def outperforms(section: str, experiment: Experiment, first: str, second: str) -> list[Claim]:
-    """Whether one learner is ahead of another in area, at each error rate."""
-    area = area_of(experiment)
+def _of_most(verdicts: Sequence[Verdict]) -> Verdict:
+    if not verdicts or set(verdicts) == {NOT_TESTED}:
+        return NOT_TESTED
+    if 2 * verdicts.count(HOLDS) > len(verdicts):
+        return HOLDS
+    return REFUTED if 2 * verdicts.count(REFUTED) >= len(verdicts) else NOT_SHOWN
+
+
+def test(condition: str, values: Measure, claimed: Claimed, decimals: int = 0) -> Test:
+    """Whether the mean of `values` lies where it is claimed to."""
+    return Test(
+        condition,
+        mean_interval(values.values[:, None]),
+        values.runs,
+        claimed,
+        p_value(values.values, claimed),
+        decimals,
+    )
+
+
+def p_value(values: Float[np.ndarray, " runs"], claimed: Claimed) -> float:
+    """Two-sided p of Student's t for the verdict that the mean leans to; nan with fewer than two runs.
+
+    For "holds" that is twice the larger of the one-sided p against each bound of what is claimed (both have to be
+    rejected), for "refuted" twice that against the bound that the mean is beyond. The bootstrap behind the intervals
+    cannot tell a p below one in its resamples, which is too coarse for a family of a hundred tests: hence t.
+    """
+    if len(values) < 2:
+        return np.nan
+    mean, error = values.mean(), values.std(ddof=1) / np.sqrt(len(values))
+
+    def beyond(line: float, sign: int) -> float:
+        """One-sided p that the mean is beyond `line`, above it for sign 1 and below for -1."""
+        distance = sign * (mean - line)
+        if np.isinf(line) or error == 0:
+            return 0.0 if distance > 0 else 1.0
+        return float(student.sf(distance / error, len(values) - 1))
+
+    holds = max(beyond(claimed.lower, 1), beyond(claimed.upper, -1))
+    refuted = min(beyond(claimed.lower, -1), beyond(claimed.upper, 1))
+    return min(1.0, 2 * min(holds, refuted))
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Holm's adjusted p of a family: significant at a level where it is at most that level."""
+    order = np.argsort(p, kind="stable")
+    factors = len(p) - np.arange(len(p))
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate(np.asarray(p)[order] * factors), 1.0)
+    return adjusted.tolist()
+
+
+def corrected(claims: Sequence[Claim]) -> list[Claim]:
+    """The claims of a part, with Holm's p of all their tests as one family; what is not tested counts for nothing."""
+    family = [test.p for claim in claims for test in claim.tests if test.verdict != NOT_TESTED]
+    adjusted = iter(holm(family))
     return [
-        Claim(
-            section,
-            f"{words.algorithm(first)} outperforms {words.algorithm(second)} at every error rate",
-            f"{words.algorithm(first)} - {words.algorithm(second)} in area",
-            each_error(experiment, lambda e: above(area(first, e), area(second, e))),
+        replace(
+            claim,
+            tests=tuple(
+                each if each.verdict == NOT_TESTED else replace(each, adjusted=next(adjusted))
+                for each in claim.tests
+            ),
         )
+        for claim in claims
     ]
 
 
-def alike(
-    section: str,
-    text: str,
-    experiment: Experiment,
-    first: str,
-    second: str,
-    scores: Callable[[Group], Scores],
-    name: str,
-    errors: Sequence[float] | None = None,
-) -> Claim:
-    """Whether the scores of two learners are alike, at each error rate or at some."""
-    margin = ALIKE * experiment.gap
-    tests = []
-    for error in experiment.study.errors if errors is None else errors:
-        pair = (scores(experiment.group(algo, error)) for algo in (first, second))
-        interval, pairs = paired_difference(*pair)
-        verdict = -margin < interval.lower and interval.upper < margin
-        tests.append(Test(words.percent(error), interval, pairs, verdict))
-    statistic = (
-        f"{words.algorithm(first)} - {words.algorithm(second)} in {name}, within {words.percent(ALIKE)} of the gap "
-        f"from idle to oracle (±{margin:.0f})"
+def counted(claims: Sequence[Claim]) -> str:
+    """How many claims met which verdict, in a sentence."""
+    number = {word: sum(claim.verdict == word for claim in claims) for word in Verdict}
+    return (
+        f"Of {len(claims)} claims {number[HOLDS]} hold, {number[REFUTED]} are refuted, {number[NOT_SHOWN]} are not "
+        f"shown, {number[NOT_TESTED]} are not tested, and {number[MIXED]} are mixed: not the same under all conditions."
     )
-    return Claim(section, text, statistic, tuple(tests))
-
-
-def each_error(experiment: Experiment, make: Callable[[float], Test]) -> tuple[Test, ...]:
-    """A test for each error rate, which is its condition."""
-    return tuple(
-        Test(words.percent(e), test.value, test.runs, test.verdict, test.decimals)
-        for e in experiment.study.errors
-        for test in (make(e),)
-    )
-
-
-def above(first: Scores, second: Scores, condition: str = "") -> Test:
-    """Whether the first scores are above the second, on the same seeds."""
-    return test(condition, *paired_difference(first, second), lambda i: i.lower > 0)
-
-
-def mean_test(scores: Scores, holds: Callable[[Interval], bool], decimals: int, condition: str = "") -> Test:
-    """A test of a mean over runs."""
-    return test(condition, *mean(scores), holds, decimals)
-
-
-def test(
-    condition: str, value: Interval, runs: int, holds: Callable[[Interval], bool], decimals: int = 0
-) -> Test:
-    """A test of a value with its interval, and the number of runs behind it."""
-    return Test(condition, value, runs, bool(holds(value)), decimals)
-
-
-def mean(scores: Scores) -> tuple[Interval, int]:
-    """The mean over runs with its interval, and their number."""
-    return mean_interval(scores.values[:, None]), len(scores.values)
-
-
-def exactly(value: float) -> Interval:
-    """A value that knows no interval."""
-    return Interval(value, np.nan, np.nan)
-
-
-def minus(first: Scores, second: Scores) -> Scores:
-    """The difference of two scores, on the seeds that both have."""
-    seeds, mine, theirs = np.intersect1d(first.seeds, second.seeds, assume_unique=True, return_indices=True)
-    return Scores(seeds, first.values[mine] - second.values[theirs])
-
-
-def average(scores: Sequence[Scores]) -> Scores:
-    """The mean of several scores, on the seeds that all have."""
-    seeds = scores[0].seeds
-    for each in scores[1:]:
-        seeds = np.intersect1d(seeds, each.seeds, assume_unique=True)
-    values = [each.values[np.searchsorted(each.seeds, seeds)] for each in scores]
-    return Scores(seeds, np.mean(values, axis=0))
-
-
-def area_of(experiment: Experiment) -> Callable[[str, float], Scores]:
-    """The area under the learning curve, by learner and error rate."""
-    return lambda algo, error: experiment.group(algo, error).area
-
-
-def closed(experiment: Experiment, algo: str, error: float) -> Scores:
-    """The part of the gap from idle to oracle that the final return has closed."""
-    final = experiment.group(algo, error).final
-    return Scores(final.seeds, (final.values - experiment.study.idle.mean) / experiment.gap)
-
-
-def change_of_difference(experiment: Experiment, errors: Sequence[float]) -> tuple[Interval, int]:
-    """How much GPC's lead over COACH in area shrinks from the first error rate to the last."""
-    area = area_of(experiment)
-    first, last = (minus(area("gpc", e), area("coach", e)) for e in (errors[0], errors[-1]))
-    return paired_difference(first, last)

@@ -26,6 +26,8 @@ def experiment(
     slopes: Mapping[str, float | Sequence[float]] = SLOPES,
     used: float = 10.0,
     rate: float = 0.03,
+    first_rate: float = 0.1,
+    chance: float = 0.5,
     spread: float = 0.01,
     errors: Sequence[float] = ERRORS,
     seeds: int = 12,
@@ -41,7 +43,9 @@ def experiment(
         early: the same over the first six episodes alone, where it is another.
         slopes: change of log10 of the learning rate from the first to the last correction, like `levels`.
         used: corrections in an episode.
-        rate: mean learning rate of every episode.
+        rate: mean learning rate of every episode, about.
+        first_rate: learning rate of a run's first correction.
+        chance: chance of advice in parts of `rate`, which rise and fall together; apart from each other if negative.
         spread: standard deviation of runs, in parts of the gap; those of one seed differ by a tenth of that.
         errors: error rates.
         seeds: runs of each setting.
@@ -67,12 +71,17 @@ def experiment(
         part = np.where(beginning & (frame["algo"] == algo), level, part)
     frame["return"] = idle + (best - idle) * (part + of_seed[frame["seed"]] + own)
     frame["corrections"] = (used + frame["seed"] % 3).astype(np.int32)
-    frame["mean_rate"] = rate * (1 + 0.01 * random.normal(size=len(frame)))
-    return _read(frame, slopes, errors, deltas)
+    moved = 0.01 * random.normal(size=len(frame))
+    frame["mean_rate"] = rate * (1 + moved)
+    frame["chance"] = 0.05 * (1 + chance * moved)
+    return _read(frame, slopes, errors, deltas, first_rate)
 
 
 def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
-    """Twelve experiments for Table 5.4 and its variants: i before ii and iii before iv; `changes` are by row."""
+    """Experiments for Table 5.4 and its variants: i before ii and iii before iv; `changes` are by row.
+
+    Learning rates are above r_c at first and below it later, and everything is ten times that where r_c is.
+    """
     level = {"i": 0.9, "ii": 0.8, "iii": 0.8, "iv": 0.6}
     used = {"i": 5.0, "ii": 10.0, "iii": 10.0, "iv": 20.0}
     slopes = {"i": -0.2, "ii": 0.0, "iii": -0.6, "iv": 0.0}
@@ -84,11 +93,23 @@ def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
             "slopes": {"gpc": slopes[row]},
             "errors": (0.1,),
         }
-        made[row] = experiment(**plain | changes.get(row, {}))
-    return {f"{name}_{row}": made[row] for name in ABLATIONS for row in ROWS}
+        given = plain | changes.get(row, {})
+        times = {round(variant.static_rate / 0.04) for variant in ABLATIONS.values()}
+        made[row] = {
+            k: experiment(
+                **given
+                | {"rate": k * given.get("rate", 0.03), "first_rate": k * given.get("first_rate", 0.1)}
+            )
+            for k in times
+        }
+    return {
+        f"{name}_{row}": made[row][round(variant.static_rate / 0.04)]
+        for name, variant in ABLATIONS.items()
+        for row in ROWS
+    }
 
 
-def _read(frame, slopes, errors, deltas):
+def _read(frame, slopes, errors, deltas, first_rate):
     corrections = frame.drop_duplicates(["algo", "oracle", "error", "seed", *(["delta"] if deltas else [])])
     corrections = corrections.loc[corrections.index.repeat(CORRECTIONS)].reset_index(drop=True)
     number = np.tile(np.arange(CORRECTIONS), len(corrections) // CORRECTIONS)
@@ -102,7 +123,7 @@ def _read(frame, slopes, errors, deltas):
         episode=1 + number // 20,
         step=number % 20,
         action_dim=0,
-        rate=0.1 * 10 ** (slope * number / CORRECTIONS + noise),
+        rate=first_rate * 10 ** (slope * number / CORRECTIONS + noise),
     )
     description = synthetic.manifest(frame, varying=["delta"] if deltas else [])
     return Experiment(gather(frame, description), frame, corrections)

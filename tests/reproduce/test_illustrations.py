@@ -7,8 +7,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from gpcjax.learners.factory import make_learner
-from gpcjax.reproduce import illustrations, records
-from gpcjax.reproduce.illustrations import erroneous, hyperparameters, plane, situations, sparsification
+from gpcjax.reproduce import illustrations, probing, records, repetitions
+from gpcjax.reproduce.illustrations import erroneous, hyperparameters, plane_of, situations, sparsification
+from tests.reproduce.illustrated import repetitions as repeated
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +23,20 @@ def fig3_2():
 
 
 @pytest.fixture(scope="module")
-def fig3_3():
-    return plane(2, angles=33, velocities=17)
+def taught_cell():
+    """One run of two episodes on the pendulum."""
+    (cell,), (lane,) = probing.taught(2, [0])
+    return cell, lane
+
+
+@pytest.fixture(scope="module")
+def taught_twice(taught_cell):
+    return taught_cell[1]
+
+
+@pytest.fixture(scope="module")
+def fig3_3(taught_cell):
+    return plane_of(*taught_cell, angles=33, velocities=17)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +140,7 @@ def test_what_maps_show_is_what_a_correction_meets():
     for obs in 0.1 * rng.normal(size=(6, 4)):
         state, _ = learner.correct(state, obs, learner.act(state, obs), [1.0])
     places = 0.1 * rng.normal(size=(5, 4))
-    seen = illustrations._look(learner, state, jnp.asarray(places))
+    seen = probing.look(learner, state, jnp.asarray(places))
     for i, obs in enumerate(places):
         action = learner.act(state, obs)
         _, info = learner.correct(state, obs, action, [1.0])
@@ -186,8 +199,48 @@ class TestErroneous:
 
     def test_the_thesis_claim_shows_with_gpc_ns_alone(self, fig5_9):
         """A long l_h needs more samples than a short one in GPC-NS, fewer in GPC."""
-        (gpc, gpc_ns) = fig5_9.samples
+        gpc, gpc_ns = fig5_9.samples
         assert gpc_ns[1] > gpc_ns[0] and gpc[1] < gpc[0]
+
+
+class TestRepetitions:
+    SEEDS = np.arange(4)
+
+    @pytest.mark.parametrize("sparsify", [False, True])
+    def test_the_action_follows_what_the_figure_says(self, sparsify):
+        found = repetitions._behind(sparsify, self.SEEDS)
+        assert found.shape == (4,) and (found < 1e-4).all()
+
+    @pytest.mark.parametrize("algo", ["gpc", "coach"])
+    def test_both_kinds_of_advice_meet_the_same_first_rate(self, algo):
+        """They have the same past, and part after the first advice."""
+        same, alternating = repetitions._consistent(algo, self.SEEDS)
+        assert same.shape == (4, repetitions.ADVICES)
+        np.testing.assert_array_equal(same[:, 0], alternating[:, 0])
+        assert (same[:, 2:] != alternating[:, 2:]).any(axis=1).all() and (same > 0).all()
+
+    def test_samples_are_what_a_loop_counts(self):
+        """Against the class itself, one advice after the other."""
+        samples = repetitions._samples("gpc", 0.2, self.SEEDS[:2])
+        for seed, expected in zip(self.SEEDS[:2], samples, strict=True):
+            random = np.random.default_rng([seed, 2])
+            target, wrong = random.uniform(0.8, 1.0), int(random.integers(1, 4))
+            learner = make_learner("gpc", "cartpole", capacity=40, human_length_scale=0.2)
+            state, obs, actions = learner.init(), np.zeros(4), []
+            for place in range(40):
+                actions.append(float(learner.act(state, obs)[0]))
+                if place > wrong + 1 and actions[-1] >= actions[wrong]:
+                    break
+                assert target - actions[-1] >= 0.05
+                state, _ = learner.correct(state, obs, [actions[-1]], [-1.0 if place == wrong else 1.0])
+            assert expected == len(actions) - 1 - (wrong + 1)
+
+    def test_what_a_taught_learner_holds(self, taught_twice):
+        (rest, elsewhere), (advised, everywhere) = repetitions._over_plane(taught_twice)
+        assert 0 < advised < everywhere <= np.sqrt(0.01 + 1e-7) + 1e-9
+        assert max(rest, elsewhere) <= np.sqrt(0.7 + 1e-7) + 1e-9
+        far, near = repetitions._unconverged(taught_twice)
+        assert 0 < far <= np.sqrt(0.7 + 1e-7) + 1e-9 and (np.isnan(near) or near > 0)
 
 
 class TestFile:
@@ -199,13 +252,18 @@ class TestFile:
             ("erroneous", fig5_9),
         ):
             monkeypatch.setattr(illustrations, name, lambda value=value: value)
-        monkeypatch.setattr(illustrations, "plane", lambda episodes: fig3_3)
+        made = repeated()
+        monkeypatch.setattr(illustrations, "taught", lambda episodes, seeds: ([None], [None]))
+        monkeypatch.setattr(illustrations, "plane_of", lambda cell, lane: fig3_3)
+        monkeypatch.setattr(illustrations, "repetitions", lambda early, late, scales: made)
         path = tmp_path / "out.npz"
         monkeypatch.setattr("sys.argv", ["illustrations", str(path)])
         illustrations.main()
         assert [each.name for each in tmp_path.iterdir()] == ["out.npz"]
         found = illustrations.read(path)
-        for record, expected in zip(found, (fig2_2, fig3_2, fig3_3, fig3_4, fig3_3, fig5_9), strict=True):
+        for record, expected in zip(
+            found, (fig2_2, fig3_2, fig3_3, fig3_4, fig3_3, fig5_9, made), strict=True
+        ):
             assert type(record) is type(expected)
             for name in expected._fields:
                 np.testing.assert_array_equal(getattr(record, name), getattr(expected, name), err_msg=name)

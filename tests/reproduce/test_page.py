@@ -1,6 +1,7 @@
 """The report of a reproduction: every claim is on it, and it needs nothing beside itself."""
 
 import re
+from dataclasses import replace
 from html import escape
 
 import pytest
@@ -11,7 +12,7 @@ from gpcjax.report.tables import result_sheets
 from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.page import markdown, markdown_report, page
 from gpcjax.reproduce.parts import CHANGES, PARTS
-from gpcjax.reproduce.verdicts import Claim
+from gpcjax.reproduce.verdicts import ABOVE_ZERO, HOLDS, NOT_SHOWN, REFUTED, Claim
 from gpcjax.reproduce.verdicts import Test as Outcome
 from tests.report.test_run import Reader
 from tests.reproduce.studies import experiment, table
@@ -42,10 +43,13 @@ def read(text):
     return reader
 
 
-def a_claim(verdicts=(True,), text="It is so", condition="{}0%"):
-    value = Interval(1.0, 0.5, 1.5)
-    tests = [Outcome(condition.format(i), value, 7, verdict) for i, verdict in enumerate(verdicts)]
-    return Claim("5.1", text, "what tests it", tuple(tests))
+BOUNDS = {HOLDS: (0.5, 1.5), REFUTED: (-1.5, -0.5), NOT_SHOWN: (-0.5, 1.5)}
+
+
+def a_claim(verdicts=(HOLDS,), text="It is so", condition="{}0%", **options):
+    values = [Interval(1.0, *BOUNDS[verdict]) for verdict in verdicts]
+    tests = [Outcome(condition.format(i), value, 7, ABOVE_ZERO, 0.001) for i, value in enumerate(values)]
+    return Claim("5.1", text, "what tests it", tuple(tests), **options)
 
 
 def lines_of(text):
@@ -68,7 +72,8 @@ class TestPage:
         for claim in (claim for part in tested.values() for claim in part):
             # Once among the verdicts, once with what tests it.
             assert reader.text.count(claim.text) >= 2, claim.text
-            assert claim.statistic in reader.text
+            statistic = f"{claim.statistic} ({claim.remark})" if claim.remark else claim.statistic
+            assert statistic in reader.text
             assert all(escape(test.shown).replace("-", "−") in html for test in claim.tests)  # noqa: RUF001
 
     def test_every_part_has_its_heading_and_every_deviation_its_line(self, tested, html):
@@ -102,9 +107,9 @@ class TestPage:
         assert "Of 0 claims 0 hold" in page({}, {}, {}, {}, [COMMAND], False)
 
     def test_the_verdicts_are_counted(self):
-        made = [a_claim(verdicts) for verdicts in ((True, True), (True,), (True, False), (False,))]
+        made = [a_claim(each) for each in ((HOLDS, HOLDS), (HOLDS,), (HOLDS, REFUTED), (REFUTED,))]
         text = page({"pendulum": made[:2], "active": made[2:]}, {}, {}, {}, [], False)
-        assert "Of 4 claims 2 hold, 1 hold under some conditions, 1 do not hold." in text
+        assert "Of 4 claims 2 hold, 1 are refuted, 0 are not shown, 0 are not tested, and 1 are mixed" in text
 
     def test_what_means_something_in_html_is_text(self):
         text = page({"pendulum": [a_claim(text="<b>a & b</b>")]}, {}, {}, {}, [], False)
@@ -125,21 +130,22 @@ class TestMarkdown:
 
     def test_the_estimates(self):
         (_, _, one), (_, _, two) = (
-            lines_of(markdown({"pendulum": [a_claim(verdicts)]})) for verdicts in ((True,), (True, True))
+            lines_of(markdown({"pendulum": [a_claim(verdicts)]})) for verdicts in ((HOLDS,), (HOLDS, HOLDS))
         )
-        assert one[-2:] == ["1 [0, 2]", "7"]
-        assert two[-2:] == ["00%: 1 [0, 2]; 10%: 1 [0, 2]", "7"]
+        assert one[-3:] == ["1 [0, 2]", "7", "none"]
+        assert two[-3:] == ["00%: 1 [0, 2]; 10%: 1 [0, 2]", "7", "none"]
 
     @pytest.mark.parametrize(
         ("verdicts", "told"),
         [
-            ((True, True), "holds"),
-            ((False, False), "**does not hold**"),
-            ((True, False, True), "**holds at 00%, 20%**"),
-            ((True,) * 6 + (False,) * 2, "**holds but at 60%, 70%**"),
-            ((False,) * 6 + (True,) * 2, "**holds at 60%, 70%**"),
-            ((False,) * 8, "**does not hold**"),
-            ((True,) * 8, "holds"),
+            ((HOLDS, HOLDS), "holds"),
+            ((REFUTED, REFUTED), "**refuted**"),
+            ((NOT_SHOWN, NOT_SHOWN), "**not shown**"),
+            ((HOLDS, NOT_SHOWN, HOLDS), "**holds at 00%, 20%; not shown at 10%**"),
+            ((HOLDS,) * 6 + (REFUTED,) * 2, "**holds at 6 of 8; refuted at 60%, 70%**"),
+            ((REFUTED,) * 6 + (HOLDS,) * 2, "**holds at 60%, 70%; refuted at 6 of 8**"),
+            ((REFUTED,) * 8, "**refuted**"),
+            ((HOLDS,) * 8, "holds"),
         ],
     )
     def test_a_verdict_is_short_and_stands_out_where_it_is_not_the_claimed_one(self, verdicts, told):
@@ -147,9 +153,25 @@ class TestMarkdown:
         assert row[2] == told
 
     def test_numbers_of_runs_that_differ(self):
-        tests = tuple(Outcome(f"{n}", Interval(1.0, 0.5, 1.5), n, True) for n in (9, 12, 10))
+        tests = tuple(Outcome(f"{n}", Interval(1.0, 0.5, 1.5), n, ABOVE_ZERO) for n in (9, 12, 10))
         (_, _, row) = lines_of(markdown({"pendulum": [Claim("5", "so", "how", tests)]}))
-        assert row[-1] == "9 to 12"
+        assert row[-2] == "9 to 12"
+
+    def test_the_verdict_after_holm_stands_beside_the_plain_one(self):
+        survives, falls = (
+            replace(claim, tests=tuple(replace(test, adjusted=p) for test in claim.tests))
+            for claim, p in ((a_claim(), 0.01), (a_claim(), 0.2))
+        )
+        (_, _, first, second) = lines_of(markdown({"pendulum": [survives, falls]}))
+        assert first[2:4] == ["holds", "the same"] and second[2:4] == ["holds", "not shown"]
+
+    def test_oracles_that_gpc_taught_are_named_next_to_every_result(self):
+        (_, _, row) = lines_of(markdown({"pendulum": [a_claim(oracles=("gpc", "gpc-2", "lqr"))]}))
+        assert row[-1] == "gpc (a circle), gpc-2 (a circle), lqr"
+        text = page({"oracles": [a_claim(oracles=("gpc", "lqr", "mpc"))]}, {}, {}, {}, [], False)
+        told = "\n".join(read(text).text)
+        assert "Oracles that GPC itself taught: gpc. That is a circle" in told
+        assert "Oracles that owe nothing to GPC: lqr, mpc." in told
 
     def test_the_whole_report(self, results, tested):
         captions = {"pendulum": {"fig5_1_returns": "Fig. 5.1: what & how"}}

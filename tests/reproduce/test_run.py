@@ -17,6 +17,7 @@ from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.runfolder import read_manifest
 from gpcjax.sweep.schedule import offered_rates
+from gpcjax.sweep.spec import make_spec, read_toml
 from gpcjax.sweep.store import read_episodes
 from tests.sweep.pretended import rows
 
@@ -101,6 +102,7 @@ def test_the_whole_of_it(sweeps, pretended, tmp_path):
     assert set(claims["part"]) == {*SWEPT, "all"}
     lander = claims[(claims["part"] == "lander") & claims["claim"].str.startswith("GPC-NS outperforms")]
     assert set(lander["n"]) == {3}  # though the two learners are of two sweeps
+    assert set(lander["verdict"]) == {"not tested"}
     page = (out / "report.html").read_text()
     text = (out / "claims.md").read_text()
     assert all(name in page for name in EXPERIMENTS)
@@ -109,11 +111,35 @@ def test_the_whole_of_it(sweeps, pretended, tmp_path):
     assert {path.removesuffix(".png") for path in figures if path.endswith(".png")} == {
         path.removesuffix(".pdf") for path in figures if path.endswith(".pdf")
     }
-    for start in ("fig5_1", "fig5_2", "fig5_4", "fig5_5", "fig5_7", "fig5_8", "oracles"):
+    for start in ("fig5_1", "fig5_2", "fig5_4", "fig5_5", "fig5_7", "fig5_8", "oracles_cart", "oracles_pend"):
         assert any(name.startswith(start) for name in figures)
     before, ran = files(out), len(pretended.cells)
     reproduce(sweeps, out, SWEPT, quick=True, jobs=2)
     assert len(pretended.cells) == ran and files(out) == before
+
+
+def test_it_says_what_each_experiment_costs_and_what_came_of_it(sweeps, pretended, tmp_path, capsys):
+    out = tmp_path / "out"
+    reproduce(sweeps, out, ("pendulum", "cartpole"), quick=True, jobs=1)
+    lines = capsys.readouterr().err.splitlines()
+    told = "27 runs of 3 episodes, about 10 s where nothing is done yet"
+    assert f"fig5_1_pendulum, 1 of 2: {told}" in lines and f"fig5_4_cartpole, 2 of 2: {told}" in lines
+    assert lines[-1].startswith("Of ") and "are not tested" in lines[-1]
+    reproduce(sweeps, out, ("cartpole",), quick=True, jobs=1)
+    assert "fig5_4_cartpole, 1 of 1: 27 runs of 3 episodes, done" in capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("name", "jobs", "told"),
+    [
+        ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 40 s where nothing is done yet"),
+        ("fig5_5_lunarlander_ns", 2, "60 runs of 200 episodes, about 24 min where nothing is done yet"),
+    ],
+)
+def test_costs_of_whole_experiments(tmp_path, name, jobs, told):
+    """About what they took where they were measured."""
+    spec = make_spec(read_toml(Path(__file__).parents[2] / "sweeps" / f"{name}.toml", quick=False))
+    assert reproduce_module._cost(spec, tmp_path, jobs) == told
 
 
 def test_a_part_at_a_time(sweeps, pretended, tmp_path):
@@ -189,7 +215,7 @@ def test_the_settings_of_another_reproduction_are_refused(sweeps, pretended, tmp
 
 def test_a_file_that_has_changed_is_refused(sweeps, pretended, tmp_path, monkeypatch):
     """What is known only when the rates are: just before that experiment would run."""
-    monkeypatch.setattr(reproduce_module, "draw", lambda out, quick: out)
+    monkeypatch.setattr(reproduce_module, "_drawn", lambda out, quick: (out, {}))
     reproduce(sweeps, tmp_path / "out", ("active",), quick=True, jobs=1)
     path, ran = sweeps / "table5_4_iii.toml", len(pretended.cells)
     path.write_text(path.read_text().replace("constant_rate = 0.01", "constant_rate = 0.02"))
@@ -206,7 +232,7 @@ def test_parts_are_chosen_in_their_own_order():
 def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
     called = []
     monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words) or 0)
-    monkeypatch.setattr(reproduce_module, "draw", lambda out, quick: out)
+    monkeypatch.setattr(reproduce_module, "_drawn", lambda out, quick: (out, {}))
     path = tmp_path / "out" / "illustrations.npz"
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
     assert called == [("gpcjax.reproduce.illustrations", str(path))]
@@ -222,6 +248,6 @@ def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
 def test_dry_run(sweeps, tmp_path, capsys):
     words = f"reproduce --dry-run --only active,lander --sweeps {sweeps} --out {tmp_path / 'out'} --jobs 3"
     assert cli.main(words.split()) == 0
-    told = f"active, lander: 14 experiments of {sweeps}, in 3 processes, into {tmp_path / 'out'}\n"
+    told = f"active, lander: 18 experiments of {sweeps}, in 3 processes, into {tmp_path / 'out'}\n"
     assert capsys.readouterr().out == told
     assert not (tmp_path / "out").exists()

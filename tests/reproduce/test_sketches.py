@@ -113,7 +113,7 @@ each_figure = pytest.mark.parametrize("name", FIGURES)
 
 def drawn(name):
     draw, record, count = FIGURES[name]
-    figure = draw(record())
+    figure = draw(record()).figure
     FigureCanvasAgg(figure).draw()
     return figure, [axis for axis in figure.axes if axis.get_title(loc="left")], count
 
@@ -193,8 +193,33 @@ def test_there_is_an_arrow_for_each_advice():
 def test_files_repeat_to_the_bit(name):
     draw, record, _ = FIGURES[name]
     value = record()
-    first = style.image(draw(value), "pdf")
-    assert first[:4] == b"%PDF" and style.image(draw(value), "pdf") == first
+    first = style.image(draw(value).figure, "pdf")
+    assert first[:4] == b"%PDF" and style.image(draw(value).figure, "pdf") == first
+
+
+@each_figure
+def test_the_caption_is_of_its_figure(name):
+    draw, record, _ = FIGURES[name]
+    drawing = draw(record())
+    assert drawing.caption.startswith(drawing.alternative.partition(":")[0] + ": ")
+
+
+def test_what_the_scan_cannot_show_is_marked():
+    """Where the teacher was silent before the advice that would err, a series has a small cross and no point."""
+    record = erroneous()
+    record.scanned_samples[1, :2, 2] = np.nan
+    drawing = sketches.erroneous(record)
+    crosses = [line for line in drawing.figure.axes[5].lines if line.get_marker() == "x"]
+    assert [len(line.get_xdata()) for line in crosses] == [0, 0, 2]
+    np.testing.assert_array_equal(crosses[2].get_xdata(), record.scanned_length_scales[:2])
+    assert "A small cross low in the panel" in drawing.caption
+
+
+def test_lines_upon_each_other_differ_in_their_dashes():
+    _, panels, _ = drawn("erroneous")
+    for panel in (panels[0], panels[1]):
+        curves = [line for line in panel.lines if len(line.get_xdata()) > 1 and line.get_linestyle() != ":"]
+        assert len({line.get_linestyle() for line in curves}) == 2
 
 
 def test_drawing_loads_no_jax():
