@@ -89,12 +89,12 @@ def converted(kind: type, value: object) -> Any:
     No text for numbers, no fractions or floats for integers, no truth for numbers, no 0 or 1 for switches. Numpy's
     scalars, and arrays without axes, are what they hold.
     """
-    value = plain(value)
+    given: Any = plain(value)
     wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
-    if not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool):
+    if not isinstance(given, wanted) or (isinstance(given, bool) and kind is not bool):
         return None
     try:
-        return kind(value) + 0.0 if kind is float else kind(value)  # -0.0 becomes 0.0: one value, one cell
+        return kind(given) + 0.0 if kind is float else kind(given)  # -0.0 becomes 0.0: one value, one cell
     except OverflowError:
         return None
 

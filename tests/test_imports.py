@@ -67,8 +67,8 @@ def test_the_first_name_switches_to_float64_and_starts_no_backend():
     assert not loaded(code) & {"brax", "gymnasium", "matplotlib", "pandas"}
 
 
-def test_ten_public_names():
-    assert len(set(gpcjax.__all__)) == 10
+def test_public_names():
+    assert len(set(gpcjax.__all__)) == len(gpcjax.__all__) == 14
     assert set(gpcjax.__all__) == set(gpcjax._PUBLIC)
     assert set(gpcjax.__all__) <= set(dir(gpcjax))
 

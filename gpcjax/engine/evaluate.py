@@ -148,9 +148,9 @@ def _on_host(env: HostEnv, actions: Actions, starts: int) -> Returns:
     going = np.flatnonzero(~np.isnan(returns)).tolist()
     while going:
         chosen = actions(obs, going)
-        finite, scaled = np.isfinite(chosen).all(0), env.scaled(chosen)
+        scaled = env.scaled(chosen)
         for place in tuple(going):
-            if not finite[place]:
+            if not np.isfinite(chosen[:, place]).all():
                 returns[place] = np.nan
                 going.remove(place)
                 continue
@@ -205,7 +205,9 @@ def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., An
 
     try:
         values, act = lifted(probe, arrays, jax.ShapeDtypeStruct((env.obs_size,), float))
-    except Exception:  # whatever it is that a function of numpy meets: on the host it shows whether it is a mistake
+    except (
+        Exception
+    ):  # whatever it is that a function of numpy meets: on the host it shows whether it is a mistake
         return None
     if shape is None:
         return None

@@ -49,8 +49,8 @@ def program(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]
 def lifted(function: Callable[..., Any], *arguments: Any) -> tuple[list[Any], Callable[..., Any]]:
     """The values in a function of arrays, and the function of these values and its arguments.
 
-    Values are the arrays that it closes over and the real numbers of its outermost level (`0.3` in `lambda x: 0.3 * x`);
-    `arguments` are arrays or their shapes.
+    Values are the arrays that it closes over and the real numbers of its outermost level, such as 0.3 in
+    `lambda x: 0.3 * x`; `arguments` are arrays or their shapes.
     """
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
     structure, jaxpr = jax.tree.structure(shapes), closed.jaxpr
@@ -58,15 +58,18 @@ def lifted(function: Callable[..., Any], *arguments: Any) -> tuple[list[Any], Ca
     for eqn in jaxpr.eqns:
         invars = list(eqn.invars)
         for place, variable in enumerate(invars):
-            if isinstance(variable, Literal) and jnp.issubdtype(variable.aval.dtype, np.floating):
-                numbers.append(np.asarray(variable.val, variable.aval.dtype))
-                names.append(Var(variable.aval))
+            kind: Any = variable.aval
+            if isinstance(variable, Literal) and jnp.issubdtype(kind.dtype, np.floating):
+                numbers.append(np.asarray(variable.val, kind.dtype))
+                names.append(Var(kind))
                 invars[place] = names[-1]
         eqns.append(eqn.replace(invars=invars))
     jaxpr = jaxpr.replace(constvars=[*jaxpr.constvars, *names], eqns=eqns)
 
     def call(values: list[Any], *arguments: Any) -> Any:
-        return jax.tree.unflatten(structure, jaxpr_as_fun(ClosedJaxpr(jaxpr, values))(*jax.tree.leaves(arguments)))
+        return jax.tree.unflatten(
+            structure, jaxpr_as_fun(ClosedJaxpr(jaxpr, values))(*jax.tree.leaves(arguments))
+        )
 
     return [*closed.consts, *numbers], call
 
@@ -75,7 +78,9 @@ def _compiled(flat: Callable[..., Any], *arguments: Any) -> Callable[..., list[j
     # Unused arguments stay part of the text: the same text must mean the same use of the same arguments.
     lowered = jax.jit(flat, keep_unused=True).lower(*arguments)
     text = lowered.as_text()
-    if "callback" in text:  # the text names a function of the host by a number that another one may have later
+    if (
+        "callback" in text
+    ):  # the text names a function of the host by a number that another one may have later
         return lowered.compile()
     key = hashlib.sha256(text.encode()).hexdigest()
     with _lock:

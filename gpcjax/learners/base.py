@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 import enum
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -90,7 +91,7 @@ class Learner(ByIdentity):
     def policy_of(self, state: State) -> Policy:
         """What `state` does, as a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 
-        It stays as it is, whatever is learned afterwards; `gpcjax.evaluate` takes it, and `gpcjax.save_policy` keeps it.
+        It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
         """
         return Policy(self.controller(state))
 
@@ -179,7 +180,7 @@ class Learner(ByIdentity):
     def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
         """The states with a change; `where` is its place, the indices of their first axes."""
 
-    def _vector(self, name: str, value: Vector, size: int) -> Float[Array | np.ndarray, " size"]:
+    def _vector(self, name: str, value: Vector, size: int) -> Any:
         return vector(name, value, size, "this learner")
 
 

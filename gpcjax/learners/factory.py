@@ -81,9 +81,7 @@ def make_learner(
     values |= given
     missing = [name for name in ("obs_size", "action_size") if name not in values]
     if missing:
-        raise UserError(
-            f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}"
-        )
+        raise UserError(f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}")
     for name in ("obs_size", "action_size"):
         values[name] = checked(name, values[name], int, COUNT)
     return (

@@ -68,11 +68,11 @@ class Policy(ByIdentity):
 
 # Inline: where a policy is part of a larger program, that program is the same as without this function.
 @jax.jit(inline=True)
-def _act(controller: Controller, obs: Float[Array | np.ndarray, " obs"]) -> Float[Array, " action"]:
+def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
     return jnp.clip(controller(obs), -1.0, 1.0)
 
 
-def vector(name: str, value: Vector, size: int, taker: str) -> Float[Array | np.ndarray, " size"]:
+def vector(name: str, value: Vector, size: int, taker: str) -> Any:
     """`value` as float64 of shape (size,), on the host unless it is jax's already: what is compiled takes either.
 
     Args:

@@ -1,6 +1,5 @@
 """From a store to its report: read, count, draw, write. Every file is replaced as a whole."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from gpcjax.allowed import checked_path
 from gpcjax.report import curves, grids, html, style, words
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
@@ -16,13 +16,13 @@ from gpcjax.sweep import store
 from gpcjax.sweep.atomic import write_atomic
 
 
-def draw(out: str | os.PathLike[str]) -> Summary:
+def draw(out: Any) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
     Raises:
         UserError: `out` holds no store, or no episode yet.
     """
-    out = Path(out)
+    out = checked_path("out", out)
     return draw_frames(out, store.read_episodes(out), store.read_corrections(out), store.read_manifest(out))
 
 

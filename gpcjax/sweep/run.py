@@ -12,9 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import gpcjax
+from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import Executors, Totals
+from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
 from gpcjax.sweep.runfolder import FORMAT, MANIFEST, check_sweep, make_writable, read_manifest
 from gpcjax.sweep.spec import SweepSpec, as_dict, spec_of
@@ -26,19 +28,20 @@ FLUSH_SECONDS = 2.0
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
-def sweep(out: str | os.PathLike[str] | None = None, jobs: int = 1, **settings: Any) -> Path:
+def sweep(out: Any = None, jobs: Any = 1, **settings: Any) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
 
     Args:
-        out: the run folder, or None for `runs/ENV-HASH`.
-        jobs: processes at once.
+        out: the path of the run folder, or None for `runs/ENV-HASH`.
+        jobs: processes at once, a whole number as on the command line.
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
 
     Raises:
         UserError: a setting that is not allowed, or a folder that is another sweep's (a ValueError).
     """
     spec = spec_of(**settings)
-    folder = default_out(spec) if out is None else Path(out)
+    folder = default_out(spec) if out is None else checked_path("out", out)
+    jobs = checked("jobs", jobs, int, OPTIONS["jobs"].allowed)
     check_sweep(folder, spec)
     make_writable(folder)
     run(spec, folder, jobs)

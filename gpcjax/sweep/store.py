@@ -4,7 +4,6 @@ A part holds the rows of some finished cells: `episodes/NAME.parquet` and `corre
 name. The corrections are written first; a part without episodes was interrupted, and is removed when the sweep goes on.
 """
 
-import os
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gpcjax.allowed import checked_path
 from gpcjax.learners.hyperparameters import ALGORITHMS
 from gpcjax.sweep.atomic import atomic_path
 from gpcjax.sweep.plan import Cell
@@ -157,14 +157,15 @@ def read_corrections(out: Path) -> pd.DataFrame:
     return _read(out / CORRECTIONS, ["episode", "step", "action_dim"])
 
 
-def load(out: str | os.PathLike[str]) -> pd.DataFrame:
+def load(out: Any) -> pd.DataFrame:
     """The episodes of a run folder as a pandas frame: see `read_episodes`.
 
     Raises:
         ValueError: `out` is no run folder, or holds no episodes yet.
     """
-    check_report(Path(out))
-    return read_episodes(Path(out))
+    folder = checked_path("out", out)
+    check_report(folder)
+    return read_episodes(folder)
 
 
 def _read(folder: Path, order: list[str]) -> pd.DataFrame:
