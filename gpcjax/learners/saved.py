@@ -5,7 +5,6 @@ and the other settings that are no arrays; from them the shape of everything fol
 """
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ _OWN = ("learner", "obs_size", "action_size")
 """What the card of a policy says of its learner."""
 
 
-def save_policy(path: str | os.PathLike[str], learner: Learner, state: State, **provenance: Any) -> None:
+def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> None:
     """Writes the policy of `state` into a new folder, for `load_policy`.
 
     Args:
@@ -51,7 +50,7 @@ def save_policy(path: str | os.PathLike[str], learner: Learner, state: State, **
     )
 
 
-def save_learner(path: str | os.PathLike[str], learner: Learner, state: State, **provenance: Any) -> None:
+def save_learner(path: Any, learner: Any, state: State, **provenance: Any) -> None:
     """Writes a learner and its state into a new folder, for `load_learner`: all that is needed to go on teaching.
 
     Args:
@@ -82,7 +81,7 @@ def save_learner(path: str | os.PathLike[str], learner: Learner, state: State, *
     write_folder(path, {"kind": "learner", **settings, "provenance": provenance}, arrays)
 
 
-def load_learner(path: str | os.PathLike[str]) -> tuple[Learner, State]:
+def load_learner(path: Any) -> tuple[Learner, State]:
     """The learner and the state that `save_learner` wrote: corrections go on to the bit as if nothing had been between.
 
     Raises:

@@ -34,9 +34,7 @@ LARGEST_ARRAY = 2**28
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def write_folder(
-    path: str | os.PathLike[str], card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-) -> None:
+def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
     """Writes a new folder, which is whole or absent. `card` may hold numpy's numbers and arrays.
 
     Raises:
@@ -65,7 +63,7 @@ def write_folder(
         raise
 
 
-def read_card(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+def read_card(path: Any, what: str) -> dict[str, Any]:
     """The card of a folder whose files are those that were written.
 
     Args:
@@ -100,7 +98,7 @@ def read_card(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     return card
 
 
-def read_arrays(path: str | os.PathLike[str], card: Mapping[str, Any], what: str) -> dict[str, np.ndarray]:
+def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.ndarray]:
     """The arrays of a folder, whose card was read and checked: of the shapes that it names.
 
     Raises:

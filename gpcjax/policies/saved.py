@@ -9,7 +9,6 @@ arrays          the shape of each array
 provenance      where the policy comes from
 """
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -52,9 +51,7 @@ class Unfit(Exception):
     """What a card or its arrays say makes no controller; the message says why."""
 
 
-def save_controller(
-    path: str | os.PathLike[str], controller: Controller, provenance: Mapping[str, Any]
-) -> None:
+def save_controller(path: Any, controller: Controller, provenance: Mapping[str, Any]) -> None:
     """Writes a controller without lanes; `provenance` (JSON values, or numpy's numbers) goes into the card.
 
     Raises:
@@ -75,7 +72,7 @@ def save_controller(
     write_folder(path, {**card, "provenance": dict(provenance)}, arrays)
 
 
-def load_policy(path: str | os.PathLike[str]) -> Policy:
+def load_policy(path: Any) -> Policy:
     """The policy saved at `path`, a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 
     It may be called directly, or inside jit and vmap.
@@ -94,7 +91,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         raise UserError(f"{Path(path)}: this policy is damaged ({error})") from None
 
 
-def load_card(path: str | os.PathLike[str]) -> dict[str, Any]:
+def load_card(path: Any) -> dict[str, Any]:
     """What the policy at `path` is and where it comes from, checked. Raises ValueError as `load_policy` does."""
     card = read_card(path, "policy")
     file, kind = Path(path) / CARD, card.get("kind")
