@@ -30,7 +30,7 @@ class Returns(eqx.Module):
     """Steps taken, until that happened where it did."""
 
 
-def evaluate(env: Env | HostEnv, policy: Function, starts: Any = 100) -> Returns:
+def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
     """One episode of `policy` from each of `starts` starts, none of it learned from.
 
     The starts are those of the first episode of seeds 0 to starts - 1.

@@ -33,11 +33,11 @@ DEFAULT_NOISE = 1e-7
 
 
 def make_learner(
-    algo: str,
-    env: str | None = None,
+    algo: Any,
+    env: Any = None,
     *,
-    policy: Mapping[str, Any] | None = None,
-    human: Mapping[str, Any] | None = None,
+    policy: Any = None,
+    human: Any = None,
     **options: Any,
 ) -> Learner:
     """A learner with the hyperparameters of the thesis for `env`, or for a task of one's own.
@@ -110,7 +110,7 @@ def _known(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
     return values
 
 
-def _kernel_options(process: str, kernel: Mapping[str, Any] | None) -> dict[str, Any]:
+def _kernel_options(process: str, kernel: Any) -> dict[str, Any]:
     """The values of a kernel as options of the learner."""
     if kernel is None:
         return {}
@@ -135,8 +135,8 @@ def _gpc(
     static_rate: Any = None,
     noise: Any = DEFAULT_NOISE,
     scaling: Any = None,
-    sparsify: bool = True,
-    on_full: str = "error",
+    sparsify: Any = True,
+    on_full: Any = "error",
     capacity: Any = DEFAULT_CAPACITY,
     policy_capacity: Any = None,
     human_capacity: Any = None,
