@@ -21,12 +21,12 @@ def learner(tmp_path_factory):
     return path
 
 
-def files(path):
-    return sorted(file for file in path.rglob("*") if file.is_file())
+def damage(path, draw, spared=()):
+    """One change of one file, or of two; of none whose name is spared."""
 
+    def files(path):
+        return sorted(file for file in path.rglob("*") if file.is_file() and file.name not in spared)
 
-def damage(path, draw):
-    """One change of one file, or of two."""
     file = draw.choice(files(path))
     content = bytearray(file.read_bytes())
     match draw.choice(["flip", "cut", "add", "remove", "swap", "empty", "folder"]):
@@ -55,10 +55,11 @@ def test_any_changed_byte_is_found(tmp_path, learner, what):
     source, load = (
         (learner, gpcjax.load_learner) if what == "learner" else (shipped_path("pendulum"), load_policy)
     )
-    draw = random.Random(0)
+    # Old policies may do without sums: only where they have them is every change found.
+    draw, spared = random.Random(0), ("SHA256SUMS",) if "shipped" in what else ()
     for number in range(150):
         path = shutil.copytree(source, tmp_path / str(number))
-        damage(path, draw)
+        damage(path, draw, spared)
         with pytest.raises(ValueError, match=str(path)) as raised:
             load(path)
         assert "\n" not in str(raised.value)

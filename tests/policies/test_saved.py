@@ -135,10 +135,11 @@ class TestSaving:
 class TestLoading:
     @pytest.fixture
     def broken(self, saved, tmp_path):
-        """A copy whose card is replaced."""
+        """A copy whose card is replaced, without the sums that would tell."""
 
         def make(text):
             path = shutil.copytree(saved, tmp_path / "broken")
+            (path / "SHA256SUMS").unlink()
             (path / "card.json").write_text(text if isinstance(text, str) else json.dumps(text))
             return path
 
@@ -179,14 +180,12 @@ class TestLoading:
 
     def test_another_kind(self, broken, saved):
         path = broken(load_card(saved) | {"format": 1, "kind": "forest"})
-        (path / "SHA256SUMS").unlink()
         with pytest.raises(ValueError, match=rf"{path / 'card.json'}: this is not a policy's card"):
             gpcjax.load_policy(path)
 
     def test_arrays_that_are_missing(self, broken, saved):
         path = broken(load_card(saved) | {"format": 1})
         shutil.rmtree(path / "arrays")
-        (path / "SHA256SUMS").unlink()
         with pytest.raises(ValueError, match=rf"{path / 'arrays'}: the arrays of this policy cannot be read"):
             gpcjax.load_policy(path)
 
