@@ -11,15 +11,19 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "draw_report": "gpcjax.report.run:draw",
+    "env_names": "gpcjax.envs.registry:env_names",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
+    "expert_names": "gpcjax.envs.registry:expert_names",
     "load": "gpcjax.sweep.store:load",
     "load_corrections": "gpcjax.sweep.store:load_corrections",
+    "load_learner": "gpcjax.learners.saved:load_learner",
     "load_policy": "gpcjax.policies.saved:load_policy",
     "make_env": "gpcjax.envs.registry:make_env",
     "make_expert": "gpcjax.envs.registry:make_expert",
     "make_learner": "gpcjax.learners.factory:make_learner",
     "make_oracle": "gpcjax.sweep.build:make_oracle",
     "run_sweep": "gpcjax.sweep.run:sweep",
+    "save_learner": "gpcjax.learners.saved:save_learner",
     "save_policy": "gpcjax.learners.saved:save_policy",
 }
 """Public name -> where it lives. None is the name of a subpackage: importing one would hide it."""
@@ -29,9 +33,13 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "make_env",
     "make_expert",
     "make_oracle",
+    "env_names",
+    "expert_names",
     "evaluate",
     "save_policy",
     "load_policy",
+    "save_learner",
+    "load_learner",
     "run_sweep",
     "draw_report",
     "load",
@@ -40,9 +48,9 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
 
 if TYPE_CHECKING:
     from gpcjax.engine.evaluate import evaluate
-    from gpcjax.envs.registry import make_env, make_expert
+    from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
     from gpcjax.learners.factory import make_learner
-    from gpcjax.learners.saved import save_policy
+    from gpcjax.learners.saved import load_learner, save_learner, save_policy
     from gpcjax.policies.saved import load_policy
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle

@@ -1,9 +1,20 @@
-"""What a value may be, as data: tested and worded in one place. Standard library only."""
+"""What a value may be, as data: tested and worded in one place. Standard library only.
+
+Flags, TOML and Python ask the same objects: `checked` for one value, `checked_series` for one or several.
+"""
 
 import difflib
+import itertools
 import math
-from collections.abc import Iterable
+import numbers
+import os
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gpcjax.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -24,6 +35,8 @@ class Numbers:
 
     def __str__(self) -> str:
         noun = "a whole number" if self.whole else "a number"
+        if self.low == -math.inf and self.high == math.inf:
+            return "a finite number"
         if self.high < math.inf:
             return f"{noun} from {self.low:g} to {self.high:,.12g}"
         return f"{noun} above {self.low:g}" if self.above else f"{noun} of at least {self.low:g}"
@@ -60,8 +73,83 @@ class Anything:
 
 Allowed = Numbers | OneOf | Anything
 
+FINITE = Numbers()
 POSITIVE = Numbers(low=0, above=True)
 NON_NEGATIVE = Numbers(low=0)
+PROBABILITY = Numbers(0, 1)
+COUNT = Numbers(1, 1_000_000, whole=True)
+"""How many: seeds, episodes, starts, sizes. What is more is a slip of the finger."""
+STEPS = Numbers(1, 2_000_000_000, whole=True)
+"""Steps of an episode, counted in an int32."""
+SWITCH = Anything("true or false")
+
+
+def converted(kind: type, value: object) -> Any:
+    """`value` as exactly `kind` (str, bool, int or float), or None where it is none.
+
+    No text for numbers, no fractions or floats for integers, no truth for numbers, no 0 or 1 for switches, no number so
+    small that float64 has not all of its digits. Numpy's scalars, and arrays without axes, are what they hold.
+    """
+    given: Any = plain(value)
+    wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
+    if not isinstance(given, wanted) or (isinstance(given, bool) and kind is not bool):
+        return None
+    if kind is not float:
+        return kind(given)
+    try:
+        number = float(given) + 0.0  # -0.0 becomes 0.0: one value, one cell
+    except OverflowError:
+        return None
+    return None if given != 0 and abs(number) < sys.float_info.min else number
+
+
+def checked(where: str, value: object, kind: type, allowed: Allowed) -> Any:
+    """`value` as `kind`, if it is allowed. Raises UserError, which begins with `where`."""
+    result = converted(kind, value)
+    if result is None or not allowed.admits(result):
+        choices = allowed.choices if isinstance(allowed, OneOf) and kind is str else ()
+        raise UserError(f"{where} {shown(value)}: give {allowed}{suggestion(value, choices)}")
+    return result
+
+
+def checked_series(where: str, value: object, size: int, allowed: Numbers) -> tuple[float, ...]:
+    """`size` numbers, from as many or from one for all. Raises UserError, which begins with `where`."""
+    shape = getattr(value, "shape", None)
+    if shape == () or not isinstance(value, Iterable) or isinstance(value, str | bytes | bytearray | Mapping):
+        each = [value] * size
+    else:
+        each = list(itertools.islice(value, size + 1)) if shape is None or len(shape) == 1 else []
+    found = tuple(converted(float, one) for one in each)
+    if len(found) != size or not all(one is not None and allowed.admits(one) for one in found):
+        raise UserError(f"{where} {shown(value)}: give {allowed}, or {size} of them")
+    return found
+
+
+def checked_path(where: str, value: object) -> Path:
+    """A path, given as text or as a path. Raises UserError, which begins with `where`."""
+    text = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise UserError(f"{where} {shown(value)}: give a path")
+    return Path(text)
+
+
+def shown(value: object) -> str:
+    """`value` as it stands in a message: on one line, and never longer than a line should be."""
+    try:
+        text = " ".join(repr(plain(value)).split())
+    except ValueError:  # an integer of thousands of digits
+        text = f"({type(value).__name__})"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def plain(value: object) -> object:
+    """What an array without axes holds; any other value as it is, and so one that jax traces."""
+    if getattr(value, "shape", None) != () or not hasattr(value, "item"):
+        return value
+    try:
+        return value.item()  # pyright: ignore[reportAttributeAccessIssue]
+    except TypeError:
+        return value
 
 
 def suggestion(word: object, known: Iterable[object]) -> str:

@@ -98,3 +98,49 @@ def test_mistakes_are_value_errors():
     ):
         with pytest.raises(ValueError, match=r"cartpol|energy|rate 2.0|seeds 0|there-is-none"):
             call()
+
+
+def test_names_of_tasks_and_experts():
+    """Each can be made, and any other is refused."""
+    assert gpcjax.env_names() == ("cartpole", "pendulum", "lunarlander")
+    for env in gpcjax.env_names():
+        assert all(callable(gpcjax.make_expert(env, name)) for name in gpcjax.expert_names(env))
+    with pytest.raises(ValueError, match="unknown environment 'cartpol'; allowed: cartpole, pendulum"):
+        gpcjax.expert_names("cartpol")
+
+
+@pytest.mark.parametrize("path", [None, 3, "", "a\0b", b"x", True], ids=repr)
+def test_what_is_no_path(path):
+    learner = gpcjax.make_learner("coach", "pendulum")
+    calls = [gpcjax.load, gpcjax.draw_report, gpcjax.load_policy, gpcjax.load_learner]
+    calls += [lambda path: gpcjax.save_policy(path, learner, learner.init())]
+    for call in calls:
+        with pytest.raises(ValueError, match=r"(path|out) .*: give a path"):
+            call(path)
+
+
+@pytest.mark.parametrize("jobs", [0, -1, 1.5, True, "2", None], ids=repr)
+def test_jobs_are_those_of_the_command_line(jobs, tmp_path):
+    with pytest.raises(ValueError, match=r"jobs .*: give a whole number from 1 to 1,024"):
+        gpcjax.run_sweep(tmp_path / "out", jobs=jobs, env="cartpole")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        *({"max_steps": value} for value in (0, 1.5, True, "8", None, 10**12, float("nan"))),
+        *({"gravity": value} for value in ("x", None, True, 1j, float("nan"), 10**400, b"9", [1, 2])),
+    ],
+    ids=repr,
+)
+def test_parameters_of_a_task_are_numbers(parameters):
+    with pytest.raises(ValueError, match=r"cartpole: (max_steps|gravity) .*: give a"):
+        gpcjax.make_env("cartpole", **parameters)
+
+
+@pytest.mark.parametrize("value", [True, "0.5", None, 1j, b"1", float("nan"), [0.5]], ids=repr)
+@pytest.mark.parametrize("name", ["rate", "error", "delta", "active_gain"])
+def test_numbers_of_an_oracle_are_numbers(name, value):
+    with pytest.raises(ValueError, match=rf"{name} .*: give a number"):
+        gpcjax.make_oracle("pendulum", "energy", **{name: value})

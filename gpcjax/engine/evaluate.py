@@ -1,38 +1,77 @@
 """How well a fixed policy does: its return from many starts."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import COUNT, checked, shown
 from gpcjax.engine import streams
+from gpcjax.engine.programs import lifted, program
 from gpcjax.envs.base import Env, State
 from gpcjax.envs.host import HostEnv
+from gpcjax.errors import UserError
+from gpcjax.policies.base import vector
 
-Function = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
+Function = Callable[[Any], Any]
 
 
 class Returns(eqx.Module):
     """One episode from each start."""
 
     returns: Float[Array, " starts"]
+    """Sum of the rewards; NaN where an action, an observation or a reward was not finite."""
     length: Int[Array, " starts"]
+    """Steps taken, until that happened where it did."""
 
 
 @under_own_settings
-def evaluate(env: Env | HostEnv, policy: Function, starts: int = 100) -> Returns:
-    """One episode of `policy` (obs -> action) from each of `starts` starts, none of it learned from.
+def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
+    """One episode of `policy` from each of `starts` starts, none of it learned from.
 
     The starts are those of the first episode of seeds 0 to starts - 1.
+
+    An action that is not finite ends its episode and is not simulated; a step that leads to an observation or a reward
+    that is not finite counts and is the last one. The return of such an episode is NaN.
+
+    Args:
+        env: from `make_env`, or a task of one's own.
+        policy: obs (obs_size,) -> action (action_size,), real numbers, clipped to [-1, 1]. If jax can trace it, all
+            starts are simulated together in one compiled program; each call sees what the function refers to now, and
+            compiles nothing if only the values of arrays have changed since an earlier one. A function that jax cannot
+            trace (it converts its observation to numpy, or looks at its value), or whose result does not come from
+            jax, is called on the host with a numpy array, at each step once for each start, in their order.
+        starts: a whole number from 1 to 1,000,000.
+
+    Raises:
+        ValueError: no task, no function, another number of starts, or actions of another shape or type.
     """
+    if not isinstance(env, Env | HostEnv):
+        raise UserError(f'env {shown(env)}: give a task, such as make_env("cartpole")')
+    if not callable(policy):
+        raise UserError(
+            f"policy {shown(policy)}: give a function of the observation, such as learner.policy_of(state)"
+        )
+    starts = checked("starts", starts, int, COUNT)
+    traced = _traced(env, policy)
     if isinstance(env, HostEnv):
-        return _evaluate_on_host(env, policy, starts)
-    return _evaluate(env, policy, jnp.arange(starts))
+        actions = _one_by_one(env, policy) if traced is None else _together(env, *traced, starts)
+        return _on_host(env, actions, starts)
+    if traced is None:
+        return _stepwise(env, _one_by_one(env, policy), starts)
+    values, act = traced
+    arrays, static = eqx.partition(env, eqx.is_array)
+    run = lambda arrays, values, seeds: _compiled(  # noqa: E731
+        eqx.combine(arrays, static), lambda obs: act(values, obs), seeds
+    )
+    seeds = jnp.arange(starts)
+    return program(run, arrays, values, seeds)(arrays, values, seeds)
 
 
 def idle(env: Env | HostEnv) -> Function:
@@ -40,38 +79,140 @@ def idle(env: Env | HostEnv) -> Function:
     return lambda obs: jnp.zeros(env.action_size)
 
 
-@eqx.filter_jit
-def _evaluate(env: Env, policy: Function, seeds: Int[Array, " starts"]) -> Returns:
-    def more(carry: tuple[State, Float[Array, " starts"]]) -> Array:
-        return ~carry[0].done.all()
+class _Episodes(eqx.Module):
+    """One episode in each lane, under way or over."""
 
-    def body(carry: tuple[State, Float[Array, " starts"]]) -> tuple[State, Float[Array, " starts"]]:
-        state, returns = carry
-        action = jax.vmap(policy, in_axes=-1, out_axes=-1)(state.obs)
-        after = jax.vmap(env.step, in_axes=-1, out_axes=-1)(state, action)
-        done = state.done
-        state = jax.tree.map(lambda new, old: jnp.where(done, old, new), after, state)
-        return state, returns + jnp.where(done, 0.0, after.reward)
+    state: State
+    returns: Float[Array, " lanes"]
+    broken: Bool[Array, " lanes"]
+    """Something was not finite."""
 
+    @property
+    def over(self) -> Bool[Array, " lanes"]:
+        return self.state.done | self.broken
+
+    def result(self) -> Returns:
+        return Returns(returns=jnp.where(self.broken, jnp.nan, self.returns), length=self.state.time)
+
+
+def _begin(env: Env, seeds: Int[Array, " lanes"]) -> _Episodes:
     state = jax.vmap(lambda seed: env.reset(streams.start_key(seed, 0)), out_axes=-1)(seeds)
-    state, returns = lax.while_loop(more, body, (state, jnp.zeros(seeds.shape)))
-    return Returns(returns=returns, length=state.time)
+    return _Episodes(state, jnp.zeros(seeds.shape), ~jnp.isfinite(state.obs).all(0))
 
 
-def _evaluate_on_host(env: HostEnv, policy: Function, starts: int) -> Returns:
-    act = jax.jit(jax.vmap(policy, in_axes=-1, out_axes=-1))
+def _advance(env: Env, now: _Episodes, action: Float[Array, "action lanes"]) -> _Episodes:
+    """A step of the lanes whose episode is not over and whose action is finite."""
+    going, acts = ~now.over, jnp.isfinite(action).all(0)
+    after = jax.vmap(env.step, in_axes=-1, out_axes=-1)(now.state, action)
+    steps = going & acts
+    finite = jnp.isfinite(after.obs).all(0) & jnp.isfinite(after.reward)
+    return _Episodes(
+        state=jax.tree.map(lambda new, old: jnp.where(steps, new, old), after, now.state),
+        returns=now.returns + jnp.where(steps, after.reward, 0.0),
+        broken=now.broken | (going & ~acts) | (steps & ~finite),
+    )
+
+
+def _compiled(env: Env, policy: Function, seeds: Int[Array, " lanes"]) -> Returns:
+    """All steps of all episodes, with a policy that jax can trace."""
+
+    def body(now: _Episodes) -> _Episodes:
+        action = jax.vmap(policy, in_axes=-1, out_axes=-1)(now.state.obs)
+        return _advance(env, now, action.astype(float))
+
+    return lax.while_loop(lambda now: ~now.over.all(), body, _begin(env, seeds)).result()
+
+
+Actions = Callable[[Float[np.ndarray, "obs lanes"], list[int]], Float[np.ndarray, "action lanes"]]
+"""The actions at these observations; they count in the lanes that are listed."""
+
+
+def _stepwise(env: Env, actions: Actions, starts: int) -> Returns:
+    """The same with a policy on the host: step after step, the task alone compiled."""
+    arrays, static = eqx.partition(env, eqx.is_array)
+    seeds = jnp.arange(starts)
+    begin = lambda arrays, seeds: _begin(eqx.combine(arrays, static), seeds)  # noqa: E731
+    now = program(begin, arrays, seeds)(arrays, seeds)
+    step = lambda arrays, now, action: _advance(eqx.combine(arrays, static), now, action)  # noqa: E731
+    step = program(step, arrays, now, jnp.zeros((env.action_size, starts)))
+    while going := np.flatnonzero(~np.asarray(now.over)).tolist():
+        now = step(arrays, now, jnp.asarray(actions(np.asarray(now.state.obs), going)))
+    return now.result()
+
+
+def _on_host(env: HostEnv, actions: Actions, starts: int) -> Returns:
     simulations = [env.simulate() for _ in range(starts)]
     obs = np.stack(
         [run.reset(streams.reset_seeds(seed, 1)[0]) for seed, run in enumerate(simulations)], axis=-1
     )
-    returns, length, going = np.zeros(starts), np.zeros(starts, int), list(range(starts))
+    returns, length = np.zeros(starts), np.zeros(starts, int)
+    returns[~np.isfinite(obs).all(0)] = np.nan
+    going = np.flatnonzero(~np.isnan(returns)).tolist()
     while going:
-        action = env.scaled(np.asarray(act(obs)))
+        chosen = actions(obs, going)
+        scaled = env.scaled(chosen)
         for place in tuple(going):
-            outcome = simulations[place].step(action[:, place])
+            if not np.isfinite(chosen[:, place]).all():
+                returns[place] = np.nan
+                going.remove(place)
+                continue
+            outcome = simulations[place].step(scaled[:, place])
             obs[:, place] = outcome.obs
-            returns[place] += outcome.reward
             length[place] += 1
-            if outcome.terminated or outcome.truncated:
+            returns[place] += outcome.reward
+            if not (np.isfinite(outcome.reward) and np.isfinite(obs[:, place]).all()):
+                returns[place] = np.nan
+            if outcome.terminated or outcome.truncated or np.isnan(returns[place]):
                 going.remove(place)
     return Returns(returns=jnp.asarray(returns), length=jnp.asarray(length))
+
+
+def _together(env: HostEnv, values: Any, act: Callable[..., Any], starts: int) -> Actions:
+    """A policy that jax can trace, for all lanes at once."""
+    batch = jax.vmap(act, in_axes=(None, -1), out_axes=-1)
+    batch = program(batch, values, jnp.zeros((env.obs_size, starts)))
+    return lambda obs, going: np.asarray(batch(values, jnp.asarray(obs)), np.float64)
+
+
+def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:
+    """A policy on the host, asked in the lanes that are listed."""
+
+    def actions(obs: Float[np.ndarray, "obs lanes"], going: list[int]) -> Float[np.ndarray, "action lanes"]:
+        result = np.zeros((env.action_size, obs.shape[1]))
+        for lane in going:
+            # A copy: what it does to its observation is its own affair.
+            given = vector("the policy's action", policy(obs[:, lane].copy()), env.action_size, env.name)
+            result[:, lane] = given
+        return result
+
+    return actions
+
+
+def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., Any]] | None:
+    """The values in a policy, and the policy as a function of these values and an observation.
+
+    None if jax cannot trace it, or its result is not jax's: what is not may be another one at each call.
+
+    Raises:
+        UserError: its result is no action of this task.
+    """
+    arrays, static = eqx.partition(policy, eqx.is_array)
+    shape: jax.ShapeDtypeStruct | None = None
+
+    def probe(arrays: Any, obs: Float[Array, " obs"]) -> Any:
+        nonlocal shape
+        action = eqx.combine(arrays, static)(obs)
+        shape = jax.ShapeDtypeStruct(action.shape, action.dtype) if isinstance(action, jax.Array) else None
+        return action if shape else obs
+
+    try:
+        values, act = lifted(probe, arrays, jax.ShapeDtypeStruct((env.obs_size,), float))
+    except (
+        Exception
+    ):  # whatever it is that a function of numpy meets: on the host it shows whether it is a mistake
+        return None
+    if shape is None:
+        return None
+    vector("the policy's action", np.zeros(shape.shape, shape.dtype), env.action_size, env.name)
+    leaves = jax.tree.leaves(arrays)
+    return [leaves, values], lambda given, obs: act(given[1], given[0], obs)

@@ -1,14 +1,17 @@
 """The shape of an environment: brax's reset and step, with `terminated` and `truncated` kept apart."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar, ScalarLike
+from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
 
 from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import STEPS, checked, converted, shown
+from gpcjax.errors import UserError
 from gpcjax.policies.base import ByIdentity
 
 
@@ -84,8 +87,12 @@ def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:
 
 
 @under_own_settings
-def parameter(value: ScalarLike) -> Scalar:
-    """Converter of a physical parameter: a float64 array leaf."""
+def parameter(value: Any) -> Scalar:
+    """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number."""
+    if converted(float, value) is None and getattr(getattr(value, "dtype", None), "kind", "") not in tuple(
+        "fiu"
+    ):
+        raise UserError(f"a physical parameter is {shown(value)}: give a number")
     return jnp.asarray(value, jnp.float64)
 
 
@@ -93,15 +100,15 @@ def check_parameters(env: Env, *, may_be_zero: tuple[str, ...] = ()) -> None:
     """Refuse what no physics has. Traced values cannot be looked at and pass.
 
     Raises:
-        ValueError: a parameter is not finite or not above zero (a few may be zero), or `max_steps` is under 1.
+        ValueError: a parameter is not finite or not above zero (a few may be zero), or `max_steps` is no
+            whole number of at least 1.
     """
-    if env.max_steps < 1:
-        raise ValueError(f"{env.name}: max_steps must be at least 1, got {env.max_steps}")
+    checked(f"{env.name}: max_steps", env.max_steps, int, STEPS)
     for name, value in vars(env).items():
         if name == "max_steps" or isinstance(value, Tracer):
             continue
         concrete, zero = np.asarray(value), name in may_be_zero
         if not (np.isfinite(concrete) & ((concrete >= 0) if zero else (concrete > 0))).all():
-            raise ValueError(
+            raise UserError(
                 f"{env.name}: {name} must be finite and {'>= 0' if zero else '> 0'}, got {concrete}"
             )

@@ -8,7 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import STEPS, checked, shown
 from gpcjax.envs.base import Env, State, begin
+from gpcjax.errors import UserError
 
 
 class BraxEnv(Env):
@@ -64,7 +66,7 @@ def _strong(leaf: Any) -> Array:
 
 
 @under_own_settings
-def brax_env(env: Any, *, max_steps: int = 1000, name: str | None = None, **arguments: Any) -> BraxEnv:
+def brax_env(env: Any, *, max_steps: Any = 1000, name: Any = None, **arguments: Any) -> BraxEnv:
     """Adapt a brax environment, given as an instance or as the name that brax knows it by.
 
     Arguments: `env`; `max_steps`, after which an episode is truncated; `name`, by default brax's name or the name of
@@ -72,19 +74,23 @@ def brax_env(env: Any, *, max_steps: int = 1000, name: str | None = None, **argu
 
     Raises:
         ValueError: an unknown name, arguments beside an instance, an instance wrapped for brax's own training (those
-            reset by themselves or batch), observations that are not one flat array, or `max_steps` under 1.
+            reset by themselves or batch), observations that are not one flat array, or `max_steps` that is
+            no whole number of at least 1.
     """
     import brax.envs
     from brax.envs.wrappers.training import AutoResetWrapper, EvalWrapper, VmapWrapper
 
-    if max_steps < 1:
-        raise ValueError(f"max_steps must be at least 1, got {max_steps}")
+    max_steps = checked("max_steps", max_steps, int, STEPS)
+    if name is not None and (not isinstance(name, str) or not name):
+        raise UserError(f"name {shown(name)}: give a word")
     if isinstance(env, str):
         label = env
         try:
             env = brax.envs.get_environment(env, **arguments)
         except KeyError:
             raise ValueError(f"unknown brax environment {label!r}; allowed: {_brax_names()}") from None
+    elif not isinstance(env, brax.envs.Env):
+        raise UserError(f"env {shown(env)}: give a brax environment, or the name of one")
     else:
         label = type(env.unwrapped).__name__
         if arguments:

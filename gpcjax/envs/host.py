@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from gpcjax.allowed import STEPS, checked
+
 
 class Outcome(NamedTuple):
     """What one step of a simulation brought, as gymnasium gives it: every step pays for a conversion."""
@@ -49,8 +51,9 @@ class HostEnv:
     _reach: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.max_steps < 1:
-            raise ValueError(f"{self.name}: max_steps must be at least 1, got {self.max_steps}")
+        max_steps = checked(f"{self.name}: max_steps", self.max_steps, int, STEPS)
+        object.__setattr__(self, "max_steps", max_steps)
+        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
         env = self._make()
         observations, actions = env.observation_space.shape, getattr(env.action_space, "high", None)
         if observations is None or len(observations) != 1:
@@ -64,6 +67,16 @@ class HostEnv:
         low, high = (np.asarray(bound, np.float64) for bound in (env.action_space.low, actions))
         object.__setattr__(self, "_centre", (low + high) / 2)
         object.__setattr__(self, "_reach", (high - low) / 2)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.gym_id, self.max_steps, tuple(sorted(self.options))))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle and copy, which know no read-only mapping."""
+        return {**vars(self), "options": dict(self.options)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, options=MappingProxyType(state["options"]))
 
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from gpcjax.allowed import FINITE, STEPS, checked, shown, suggestion
+from gpcjax.errors import UserError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -76,12 +79,16 @@ ENVS: Mapping[str, Entry] = MappingProxyType(
 
 
 def env_names() -> tuple[str, ...]:
-    """The tasks that `make_env` knows."""
+    """The names of the tasks that `make_env` knows."""
     return tuple(ENVS)
 
 
 def expert_names(env_name: str) -> tuple[str, ...]:
-    """The experts of a task, the default first. Raises ValueError for an unknown task."""
+    """The names of a task's experts, for `make_expert` and `make_oracle`; the default comes first.
+
+    Raises:
+        ValueError: an unknown task.
+    """
     return tuple(_entry(env_name).experts)
 
 
@@ -124,6 +131,8 @@ def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
 
     "lunarlander" is simulated on the host: a `gpcjax.envs.host.HostEnv`.
 
+    Parameters are numbers (numpy's too), or what jax traces; `max_steps` is a whole number.
+
     Raises:
         ValueError: an unknown task or parameter, or a value that the task refuses.
     """
@@ -131,8 +140,9 @@ def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     allowed = tuple(inspect.signature(make).parameters)
     for name in parameters:
         if name not in allowed:
-            raise ValueError(f"unknown parameter {name!r} of {env_name}; allowed: {', '.join(allowed)}")
-    return make(**parameters)
+            near = suggestion(name, allowed)
+            raise UserError(f"unknown parameter {name!r} of {env_name}{near}; allowed: {', '.join(allowed)}")
+    return make(**{name: _parameter(env_name, name, value) for name, value in parameters.items()})
 
 
 def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
@@ -142,16 +152,25 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
         ValueError: an unknown task, or an expert that the task does not have.
     """
     experts = _entry(env_name).experts
-    if expert_name not in experts:
-        raise ValueError(f"unknown oracle {expert_name!r} for {env_name}; allowed: {', '.join(experts)}")
+    if not isinstance(expert_name, str) or expert_name not in experts:
+        raise UserError(f"unknown oracle {shown(expert_name)} for {env_name}; allowed: {', '.join(experts)}")
     target, *arguments = experts[expert_name]
     return _resolve(target)(*arguments)
 
 
 def _entry(env_name: str) -> Entry:
-    if env_name not in ENVS:
-        raise ValueError(f"unknown environment {env_name!r}; allowed: {', '.join(ENVS)}")
+    if not isinstance(env_name, str) or env_name not in ENVS:
+        raise UserError(f"unknown environment {shown(env_name)}; allowed: {', '.join(ENVS)}")
     return ENVS[env_name]
+
+
+def _parameter(env_name: str, name: str, value: Any) -> Any:
+    """A parameter of a task, if it is a number; what is beyond the task's own bounds it refuses itself."""
+    where = f"{env_name}: {name}"
+    if name == "max_steps":
+        return checked(where, value, int, STEPS)
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    return value if kind in tuple("fiu") else checked(where, value, float, FINITE)
 
 
 def _resolve(target: str) -> Any:

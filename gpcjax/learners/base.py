@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 import enum
-from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from gpcjax.policies.base import ByIdentity, Controller
+from gpcjax.errors import UserError
+from gpcjax.policies.base import ByIdentity, Controller, Policy, Vector, vector
 
 State = PyTree
 Change = PyTree
@@ -26,6 +27,7 @@ class Status(enum.IntEnum):
     OK = 0
     FULL = 1
     NON_FINITE = 2
+    INVALID = 3
 
     @property
     def label(self) -> str:
@@ -39,6 +41,7 @@ class Status(enum.IntEnum):
             Status.OK: "every correction was learned",
             Status.FULL: "a dictionary reached its capacity: raise max_capacity (capacity), or choose another on_full",
             Status.NON_FINITE: "a value became infinite or not a number: check the observations and hyperparameters",
+            Status.INVALID: "an advice was none of -1, 0 and 1, and nothing was learned from it: check the teacher",
         }[self]
 
 
@@ -85,27 +88,23 @@ class Learner(ByIdentity):
         """The idle policy: its action is 0 everywhere."""
         return self._init()
 
-    def act(self, state: State, obs: Real[ArrayLike, " obs"] | Sequence[float]) -> Float[Array, " action"]:
+    def act(self, state: State, obs: Vector) -> Float[Array, " action"]:
         """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
         return _act(self, state, self._vector("obs", obs, self.obs_size))
 
-    def uncertainty(
-        self,
-        state: State,
-        obs: Real[ArrayLike, " obs"] | Sequence[float],
-        action: Real[ArrayLike, " action"] | Sequence[float],
-    ) -> Float[Array, " action"]:
+    def policy_of(self, state: State) -> Policy:
+        """What `state` does, as a function obs (obs_size,) -> action (action_size,) in [-1, 1].
+
+        It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
+        """
+        return Policy(self.controller(state))
+
+    def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
         """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
         obs = self._vector("obs", obs, self.obs_size)
         return _uncertainty(self, state, obs, self._vector("action", action, self.action_size))
 
-    def correct(
-        self,
-        state: State,
-        obs: Real[ArrayLike, " obs"] | Sequence[float],
-        action: Real[ArrayLike, " action"] | Sequence[float],
-        advice: Real[ArrayLike, " action"] | Sequence[float],
-    ) -> tuple[State, Info]:
+    def correct(self, state: State, obs: Vector, action: Vector, advice: Vector) -> tuple[State, Info]:
         """Learns from one correction.
 
         Args:
@@ -119,13 +118,20 @@ class Learner(ByIdentity):
             correction was not learned.
 
         Raises:
-            ValueError: a shape does not fit, or advice is none of -1, 0, 1 (where its value is known).
+            ValueError: a shape does not fit, there are no real numbers, or advice is none of -1, 0, 1. Where jax traces
+                the advice its value is not known: then nothing is learned, and the status is `Status.INVALID`.
         """
         advice = self._vector("advice", advice, self.action_size)
-        if not isinstance(advice, Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
-            raise ValueError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
         obs = self._vector("obs", obs, self.obs_size)
-        return _correct(self, state, obs, self._vector("action", action, self.action_size), advice)
+        action = self._vector("action", action, self.action_size)
+        if isinstance(advice, Tracer):
+            valid = ((advice == -1) | (advice == 0) | (advice == 1)).all()
+            state, info = _correct(self, state, obs, action, jnp.where(valid, advice, 0.0))
+            status = jnp.where(valid, info.status, Status.INVALID).astype(info.status.dtype)
+            return state, dataclasses.replace(info, status=status)
+        if not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+            raise UserError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
+        return _correct(self, state, obs, action, advice)
 
     @abc.abstractmethod
     def grow(self, state: State) -> State:
@@ -183,13 +189,8 @@ class Learner(ByIdentity):
     def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
         """The states with a change; `where` is its place, the indices of their first axes."""
 
-    def _vector(
-        self, name: str, value: Real[ArrayLike, " given"] | Sequence[float], size: int
-    ) -> Float[Array, " size"]:
-        array = jnp.asarray(value, float)
-        if array.shape != (size,):
-            raise ValueError(f"{name} has shape {array.shape}, this learner takes ({size},)")
-        return array
+    def _vector(self, name: str, value: Vector, size: int) -> Any:
+        return vector(name, value, size, "this learner")
 
 
 @eqx.filter_jit

@@ -1,19 +1,31 @@
 """Learners by name: the thesis' tables, or the sizes and hyperparameters of a task of one's own."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array
 
 from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import (
+    COUNT,
+    FINITE,
+    SWITCH,
+    Numbers,
+    OneOf,
+    checked,
+    checked_series,
+    shown,
+    suggestion,
+)
+from gpcjax.errors import UserError
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess
 from gpcjax.learners.base import Learner
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.hyperparameters import ON_FULL
+from gpcjax.learners.hyperparameters import CAPACITY, HYPERPARAMETERS, ON_FULL
 from gpcjax.learners.presets import PRESETS, SIZES
 from gpcjax.policies.grid import Grid
 
@@ -23,11 +35,11 @@ DEFAULT_NOISE = 1e-7
 
 @under_own_settings
 def make_learner(
-    algo: str,
-    env: str | None = None,
+    algo: Any,
+    env: Any = None,
     *,
-    policy: Mapping[str, Any] | None = None,
-    human: Mapping[str, Any] | None = None,
+    policy: Any = None,
+    human: Any = None,
     **options: Any,
 ) -> Learner:
     """A learner with the hyperparameters of the thesis for `env`, or for a task of one's own.
@@ -44,30 +56,36 @@ def make_learner(
             `sparsify`, `on_full`;
             for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
 
+    All values are bounded as on the command line (`gpcjax.learners.hyperparameters`); numpy's numbers are numbers.
+
     Raises:
         ValueError: an unknown name, a missing size, or a value out of its range; the message names it.
     """
-    if algo not in PRESETS:
-        raise ValueError(f"algo {algo!r} is not known: choose one of {', '.join(PRESETS)}")
-    if env is not None and env not in SIZES:
-        raise ValueError(
-            f"env {env!r} has no table: choose {', '.join(SIZES)}, or give obs_size and action_size"
+    if not isinstance(algo, str) or algo not in PRESETS:
+        near = suggestion(algo, PRESETS)
+        raise UserError(f"algo {shown(algo)} is not known{near}: choose one of {', '.join(PRESETS)}")
+    if env is not None and (not isinstance(env, str) or env not in SIZES):
+        raise UserError(
+            f"env {shown(env)} has no table: choose {', '.join(SIZES)}, or give obs_size and action_size"
         )
+    given = {**_kernel_options("policy", policy), **_kernel_options("human", human)}
+    twice = sorted(given.keys() & options.keys())
+    if twice:
+        raise UserError(f"{twice[0]} is given twice, by its kernel's name and by its own: give it once")
+    given |= options
+    if given.get("static_rate") is not None and given.get("constant_rate") is not None:
+        raise UserError("constant_rate: beside static_rate it changes nothing, give one of the two")
     values: dict[str, Any] = {}
     if env is not None:
         values |= {**SIZES[env], **PRESETS[algo][env]}
     elif algo != "coach":
         values |= {name: value for name, value in PRESETS[algo]["lunarlander"].items() if name != "scaling"}
-    for prefix, kernel in (("policy", policy), ("human", human)):
-        values |= {f"{prefix}_{name}": value for name, value in (kernel or {}).items()}
-    values |= options
+    values |= given
     missing = [name for name in ("obs_size", "action_size") if name not in values]
     if missing:
-        raise ValueError(
-            f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}"
-        )
+        raise UserError(f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}")
     for name in ("obs_size", "action_size"):
-        values[name] = _size(name, values[name])
+        values[name] = checked(name, values[name], int, COUNT)
     return (
         _coach(**_known(values, _COACH))
         if algo == "coach"
@@ -87,10 +105,22 @@ _GPC = _SHARED | {
 def _known(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
     unknown = sorted(values.keys() - names)
     if unknown:
-        raise ValueError(
-            f"{unknown[0]!r} is not an option of this learner: choose from {', '.join(sorted(names))}"
+        near = suggestion(unknown[0], names)
+        raise UserError(
+            f"{shown(unknown[0])} is not an option of this learner{near}: choose from {', '.join(sorted(names))}"
         )
     return values
+
+
+def _kernel_options(process: str, kernel: Any) -> dict[str, Any]:
+    """The values of a kernel as options of the learner."""
+    if kernel is None:
+        return {}
+    if not isinstance(kernel, Mapping) or not all(isinstance(name, str) for name in kernel):
+        raise UserError(
+            f"{process} {shown(kernel)}: give values by name, such as {{'variance': 0.01, 'length_scale': 0.2}}"
+        )
+    return {f"{process}_{name}": value for name, value in kernel.items()}
 
 
 def _gpc(
@@ -107,45 +137,48 @@ def _gpc(
     static_rate: Any = None,
     noise: Any = DEFAULT_NOISE,
     scaling: Any = None,
-    sparsify: bool = True,
-    on_full: str = "error",
+    sparsify: Any = True,
+    on_full: Any = "error",
     capacity: Any = DEFAULT_CAPACITY,
     policy_capacity: Any = None,
     human_capacity: Any = None,
 ) -> GPC:
-    if on_full not in ON_FULL:
-        raise ValueError(f"on_full {on_full!r} is not known: choose one of {', '.join(ON_FULL)}")
-    if policy_nu not in (0.5, 1.5, 2.5):
-        raise ValueError(f"policy_nu {policy_nu}: choose 0.5, 1.5 or 2.5")
+    on_full = checked("on_full", on_full, str, OneOf(ON_FULL))
+    policy_capacity, human_capacity = (
+        checked(name, capacity if value is None else value, int, CAPACITY)
+        for name, value in (("policy_capacity", policy_capacity), ("human_capacity", human_capacity))
+    )
+    policy_nu = checked("policy_nu", policy_nu, float, HYPERPARAMETERS["policy_nu"].allowed)
+    noise = _number("noise", noise)
     processes = {
         name: GaussianProcess(
             Kernel(
-                variance=_number(f"{name}_variance", variance, positive=True),
-                length_scale=_number(f"{name}_length_scale", length_scale, positive=True),
+                variance=_number(f"{name}_variance", variance),
+                length_scale=_number(f"{name}_length_scale", length_scale),
                 smoothness=smoothness,
             ),
-            noise=_number("noise", noise, positive=True),
+            noise=noise,
             normalise=normalise,
             keeps_weights=name == "policy",
             replaces=name == "policy" or on_full == "replace-nearest",
         )
         for name, variance, length_scale, smoothness in (
-            ("policy", policy_variance, policy_length_scale, float(policy_nu)),
+            ("policy", policy_variance, policy_length_scale, policy_nu),
             ("human", human_variance, human_length_scale, SQUARED_EXPONENTIAL),
         )
     }
     return GPC(
         policy=processes["policy"],
         human=processes["human"],
-        scaling=_vector("scaling", (1.0,) * obs_size if scaling is None else scaling, obs_size),
+        scaling=_vector("scaling", 1.0 if scaling is None else scaling, obs_size),
         constant_rate=_number("constant_rate", constant_rate),
         static_rate=None if static_rate is None else _number("static_rate", static_rate),
         obs_size=obs_size,
         action_size=action_size,
-        sparsify=bool(sparsify),
+        sparsify=checked("sparsify", sparsify, bool, SWITCH),
         on_full=on_full,
-        policy_capacity=_size("policy_capacity", capacity if policy_capacity is None else policy_capacity),
-        human_capacity=_size("human_capacity", capacity if human_capacity is None else human_capacity),
+        policy_capacity=policy_capacity,
+        human_capacity=human_capacity,
     )
 
 
@@ -160,53 +193,47 @@ def _coach(
     magnitude: Any = 5.0,
     coach_constant: Any = 1.8,
 ) -> COACH:
+    bounds = ("lower", lower), ("upper", upper)
     if lower is None or upper is None or counts is None:
-        raise ValueError(
+        raise UserError(
             "COACH needs its grid: lower, upper and counts, one value for each observation dimension"
         )
-    counts = tuple(_size("counts", count) for count in counts)
-    lower, upper = _vector("lower", lower, obs_size), _vector("upper", upper, obs_size)
-    if len(counts) != obs_size or min(counts) < 2:
-        raise ValueError(f"counts {counts}: give {obs_size} numbers of at least 2")
-    if not (np.asarray(lower) < np.asarray(upper)).all():
-        raise ValueError(
-            f"lower {np.asarray(lower).tolist()} must be below upper {np.asarray(upper).tolist()}"
+    if not isinstance(counts, Iterable) or isinstance(counts, str | bytes | Mapping):
+        raise UserError(f"counts {shown(counts)}: give {obs_size} numbers of at least 2")
+    counts = tuple(checked("counts", count, int, _NODES) for count in counts)
+    if len(counts) != obs_size:
+        raise UserError(f"counts {shown(counts)}: give {obs_size} numbers of at least 2")
+    if math.prod(counts) * action_size > _LARGEST_GRID:
+        raise UserError(
+            f"counts {shown(counts)}: {math.prod(counts):,} features for each of {action_size} actions, "
+            f"give {_LARGEST_GRID:,} in all at most"
         )
+    low, high = (checked_series(name, value, obs_size, FINITE) for name, value in bounds)
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise UserError(f"lower {shown(list(low))} must be below upper {shown(list(high))}")
     return COACH(
-        grid=Grid(lower=lower, upper=upper, counts=counts),
-        beta=_vector("beta", beta, action_size, "positive"),
-        magnitude=_vector("magnitude", magnitude, action_size, "positive"),
-        constant=_vector("coach_constant", coach_constant, action_size, "non-negative"),
+        grid=Grid(lower=jnp.asarray(low), upper=jnp.asarray(high), counts=counts),
+        beta=_vector("beta", beta, action_size),
+        magnitude=_vector("magnitude", magnitude, action_size),
+        constant=_vector("coach_constant", coach_constant, action_size),
         obs_size=obs_size,
         action_size=action_size,
     )
 
 
-def _number(name: str, value: Any, positive: bool = False) -> Any:
-    number = _float(value)
-    if not math.isfinite(number) or number < 0 or (positive and number == 0):
-        raise ValueError(f"{name} {value!r}: give a {'positive' if positive else 'non-negative'} number")
-    return jnp.asarray(number, float)
+_NODES = Numbers(2, COUNT.high, whole=True)
+"""Nodes of COACH's grid along one dimension."""
+_LARGEST_GRID = 2**26
+"""Weights of COACH in each of its two models: half a gigabyte."""
 
 
-def _vector(name: str, value: Any, size: int, kind: str = "finite") -> Any:
-    array = np.array([_float(each) for each in ([value] if np.ndim(value) == 0 else value)])
-    array = np.full(size, array[0]) if np.ndim(value) == 0 else array
-    inside = {"finite": array > -np.inf, "positive": array > 0, "non-negative": array >= 0}[kind]
-    if array.shape != (size,) or not (np.isfinite(array) & inside).all():
-        raise ValueError(f"{name} {value!r}: give one {kind} number, or {size} of them")
-    return jnp.asarray(array)
+def _number(name: str, value: Any) -> Array:
+    """A hyperparameter of the table."""
+    return jnp.asarray(checked(name, value, float, HYPERPARAMETERS[name].allowed), float)
 
 
-def _float(value: Any) -> float:
-    """Not a number where `value` is none."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
-
-
-def _size(name: str, value: Any) -> int:
-    if isinstance(value, bool | str) or not _float(value).is_integer() or value < 1:
-        raise ValueError(f"{name} {value!r}: give a whole number of at least 1")
-    return int(value)
+def _vector(name: str, value: Any, size: int) -> Array:
+    """One hyperparameter for each of `size` dimensions; what is in no table is any finite number."""
+    allowed = HYPERPARAMETERS[name].allowed if name in HYPERPARAMETERS else FINITE
+    assert isinstance(allowed, Numbers)
+    return jnp.asarray(checked_series(name, value, size, allowed), float)

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
-from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Allowed, OneOf
+from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Allowed, Numbers, OneOf
 
 ALGORITHMS = ("gpc", "gpc-ns", "coach")
 ON_FULL = ("error", "replace-nearest", "drop")
+CAPACITY = Numbers(1, 16384, whole=True)
+"""Points for which a dictionary may have room from the start."""
 _GP = ("gpc", "gpc-ns")
 _COACH = ("coach",)
 _SMOOTHNESS = OneOf((0.5, 1.5, 2.5))

@@ -49,6 +49,14 @@ class GridController(Controller):
     weights: Float[Array, "action *grid_and_lanes"]
     grid: Grid
 
+    @property
+    def obs_size(self) -> int:
+        return len(self.grid.counts)
+
+    @property
+    def action_size(self) -> int:
+        return self.weights.shape[0]
+
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
         total = self.weights
         for i, values in reversed(list(enumerate(self.grid.memberships(obs)))):

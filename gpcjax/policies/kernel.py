@@ -18,6 +18,14 @@ class KernelController(Controller):
     """What an observation is multiplied by to stand among `points`."""
     smoothness: float = eqx.field(static=True)
 
+    @property
+    def obs_size(self) -> int:
+        return self.scale.shape[1]
+
+    @property
+    def action_size(self) -> int:
+        return self.scale.shape[0]
+
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
         place = obs[None] * self.scale
         squared = sum_of_squares(self.points[:, :, i] - place[:, None, i] for i in range(obs.shape[0]))

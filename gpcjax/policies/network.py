@@ -21,6 +21,14 @@ class NetworkController(Controller):
     biases: tuple[Float[Array, "_ *lanes"], ...]
     """b of each layer, (outputs, *lanes)."""
 
+    @property
+    def obs_size(self) -> int:
+        return self.weights[0].shape[1]
+
+    @property
+    def action_size(self) -> int:
+        return self.biases[-1].shape[0]
+
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
         *hidden, last = zip(self.weights, self.biases, strict=True)
         units = obs

@@ -4,7 +4,6 @@ A report needs no lock: it reads what is whole of a store that a sweep is writin
 its end.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 
+from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.report import curves, grids, html, style
 from gpcjax.report.groups import gather
@@ -23,7 +23,7 @@ from gpcjax.sweep.runfolder import check_report, check_writable, tell
 _MEND = "make room and give the right to write, or report on a copy"
 
 
-def draw(out: str | os.PathLike[str]) -> Summary:
+def draw(out: Any) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
     What is damaged or foreign in the store is left out, with a line on stderr.
@@ -31,7 +31,7 @@ def draw(out: str | os.PathLike[str]) -> Summary:
     Raises:
         UserError: `out` holds no store, no episode yet or none that is whole, or nothing can be written there.
     """
-    out = Path(out)
+    out = checked_path("out", out)
     check_report(out)
     check_writable(out)
     return draw_frames(out, *store.read(out, tell))

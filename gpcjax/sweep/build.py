@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import NON_NEGATIVE, Numbers
+from gpcjax.allowed import checked
 from gpcjax.engine.pool import Pool, Start, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.learners.base import Learner
 from gpcjax.learners.factory import make_learner
+from gpcjax.learners.presets import SIZES
+from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.teachers.oracle import Advisor, Oracle
 
@@ -70,16 +72,16 @@ def make_oracle(
     env_name: str,
     expert_name: str | None = None,
     *,
-    rate: float = 0.05,
-    error: float = 0.0,
-    delta: float = 0.05,
-    active_gain: float = 0.0,
+    rate: Any = 0.05,
+    error: Any = 0.0,
+    delta: Any = 0.05,
+    active_gain: Any = 0.0,
 ) -> Advisor:
-    """The synthesised teacher (Alg. 4) of a task.
+    """The synthesised teacher (Alg. 4) of a task; its numbers are bounded as on the command line.
 
     Args:
         env_name: "cartpole", "pendulum" or "lunarlander".
-        expert_name: whose actions it aims at, of `gpcjax.envs.registry.expert_names(env_name)`; the first by default.
+        expert_name: whose actions it aims at, of `gpcjax.expert_names(env_name)`; the first by default.
         rate: gamma, its chance of advice at a step and action dimension; the least chance if `active_gain` is given.
         error: e, the chance that an advice has the wrong sign.
         delta: it is silent this near to its target, in units of the action.
@@ -88,17 +90,10 @@ def make_oracle(
     Raises:
         ValueError: an unknown name, or a number out of range.
     """
-    expert = make_expert(env_name, expert_name or expert_names(env_name)[0])
-    probability = Numbers(0, 1)
-    for name, value, allowed in (
-        ("rate", rate, probability),
-        ("error", error, probability),
-        ("delta", delta, NON_NEGATIVE),
-        ("active_gain", active_gain, NON_NEGATIVE),
-    ):
-        if not allowed.admits(float(value)):
-            raise ValueError(f"{name} {value!r}: give {allowed}")
-    return Advisor(expert=expert, oracle=_oracle(rate, error, delta, active_gain))
+    expert = make_expert(env_name, expert_names(env_name)[0] if expert_name is None else expert_name)
+    given = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    numbers = {name: checked(name, value, float, OPTIONS[name].allowed) for name, value in given.items()}
+    return Advisor(expert=expert, oracle=_oracle(**numbers), **SIZES[env_name])
 
 
 def _oracle(rate: float, error: float, delta: float, active_gain: float) -> Oracle:

@@ -6,7 +6,6 @@ tuple without repeats where a list is possible), or raise a `UserError` that beg
 
 import itertools
 import math
-import numbers
 import os
 import re
 import sys
@@ -14,13 +13,25 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from gpcjax.allowed import NON_NEGATIVE, Allowed, Anything, Numbers, OneOf, suggestion
+from gpcjax.allowed import (
+    COUNT,
+    NON_NEGATIVE,
+    PROBABILITY,
+    SWITCH,
+    Allowed,
+    Anything,
+    Numbers,
+    OneOf,
+    converted,
+    plain,
+    suggestion,
+)
 from gpcjax.envs.registry import default_episodes, default_max_capacity, env_names, expert_names
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS, ON_FULL
+from gpcjax.learners.hyperparameters import ALGORITHMS, CAPACITY, HYPERPARAMETERS, ON_FULL
 
-LARGEST = 1_000_000
-"""Bound on seeds, episodes and the cells of one sweep: what is more is a slip of the finger."""
+LARGEST = int(COUNT.high)
+"""Bound on seeds, episodes and the cells of one sweep."""
 
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -73,9 +84,6 @@ class Option:
 
 
 _GP = tuple(name for name in ALGORITHMS if name != "coach")
-_PROBABILITY = Numbers(0, 1)
-_COUNT = Numbers(1, LARGEST, whole=True)
-_CAPACITY = Numbers(1, 16384, whole=True)
 _ORACLES = tuple(dict.fromkeys(expert for env in env_names() for expert in expert_names(env)))
 
 
@@ -86,9 +94,9 @@ def _by_env(default: Callable[[str], object]) -> str:
 EXPERIMENT = (
     Option("env", str, OneOf(env_names()), "the task"),
     Option("algo", str, OneOf(ALGORITHMS), "who learns", ALGORITHMS, many=True),
-    Option("error", float, _PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
-    Option("seeds", int, _COUNT, "how many: seeds 0 to n-1 of everything", 100),
-    Option("episodes", int, _COUNT, "episodes of each run", otherwise=_by_env(default_episodes)),
+    Option("error", float, PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
+    Option("seeds", int, COUNT, "how many: seeds 0 to n-1 of everything", 100),
+    Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_env(default_episodes)),
     Option(
         "oracle",
         str,
@@ -98,23 +106,23 @@ EXPERIMENT = (
         otherwise=_by_env(lambda env: expert_names(env)[0]),
     ),
     Option("delta", float, NON_NEGATIVE, "the teacher is silent this near to its target", (0.05,), many=True),
-    Option("rate", float, _PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
+    Option("rate", float, PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
     Option(
         "rate_schedule",
         float,
-        _PROBABILITY,
+        PROBABILITY,
         "that chance in each episode, in place of rate",
         series=True,
         otherwise="rate",
     ),
 )
 VARIANTS = (
-    Option("sparsify", bool, Anything("true or false"), "SPARS (Alg. 3)", True, algorithms=_GP),
+    Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True, algorithms=_GP),
     Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error", algorithms=_GP),
     Option(
         "max_capacity",
         int,
-        _CAPACITY,
+        CAPACITY,
         "points in a dictionary at most",
         algorithms=_GP,
         otherwise=_by_env(default_max_capacity),
@@ -149,6 +157,7 @@ def accept(option: Option, value: Any, where: str) -> Any:
     """The checked form of a `value` from TOML or Python."""
     if isinstance(value, os.PathLike):
         value = os.fspath(value)
+    value = plain(value)
     if option.kind is str and isinstance(value, str):
         return parse(option, value, where)
     lists = option.many or option.series
@@ -191,31 +200,13 @@ def _from_word(option: Option, word: str, where: str) -> Any:
 def _checked(option: Option, values: list[Any], where: str) -> Any:
     checked = []
     for value in values:
-        converted = _converted(option.kind, value)
-        if converted is None or not option.allowed.admits(converted):
+        one = None if isinstance(value, Written) and value.lost else converted(option.kind, value)
+        if one is None or not option.allowed.admits(one):
             _refuse(option, value, where)
-        checked.append(converted)
+        checked.append(one)
     if option.series:
         return tuple(checked)
     return tuple(dict.fromkeys(checked)) if option.many else checked[0]
-
-
-def _converted(kind: type, value: Any) -> Any:
-    """`value` as exactly `kind`, or None: no text for numbers, no fractions for integers, no 0 or 1 for switches.
-
-    Nor numbers that float64 cannot tell from zero: they would be another value than the one that was given.
-    """
-    wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
-    if not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool):
-        return None
-    if kind is not float:
-        return kind(value)
-    try:
-        number = float(value) + 0.0  # -0.0 becomes 0.0: one value, one cell
-    except OverflowError:
-        return None
-    lost = value.lost if isinstance(value, Written) else value != 0 and abs(number) < sys.float_info.min
-    return None if lost else number
 
 
 def _refuse(option: Option, value: Any, where: str) -> NoReturn:

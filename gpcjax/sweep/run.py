@@ -1,17 +1,18 @@
 """One sweep from its specification to a complete store. The parent process loads no jax."""
 
 import importlib.metadata
-import os
 import platform
 import time
 from pathlib import Path
 from typing import Any
 
 import gpcjax
+from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, stopping
 from gpcjax.sweep.executors import Executors, Totals
 from gpcjax.sweep.lock import held
+from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import versions_of
 from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State
@@ -37,12 +38,12 @@ FLUSH_SECONDS = 2.0
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
-def sweep(out: str | os.PathLike[str] | None = None, jobs: int = 1, **settings: Any) -> Path:
+def sweep(out: Any = None, jobs: Any = 1, **settings: Any) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
 
     Args:
-        out: the run folder, or None for `runs/ENV-HASH`.
-        jobs: processes at once.
+        out: the path of the run folder, or None for `runs/ENV-HASH`.
+        jobs: processes at once, a whole number as on the command line.
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
 
     Raises:
@@ -50,7 +51,8 @@ def sweep(out: str | os.PathLike[str] | None = None, jobs: int = 1, **settings: 
             writing to (a ValueError).
     """
     spec = spec_of(**settings)
-    folder = default_out(spec) if out is None else Path(out)
+    folder = default_out(spec) if out is None else checked_path("out", out)
+    jobs = checked("jobs", jobs, int, OPTIONS["jobs"].allowed)
     check_sweep(folder, spec)
     make_writable(folder)
     run(spec, folder, jobs)

@@ -5,7 +5,6 @@ name. The corrections are written first; a part without episodes was interrupted
 What makes a part whole, and one of this sweep, is in `gpcjax.sweep.parts`.
 """
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS
 from gpcjax.sweep.atomic import clean, write_atomic
@@ -240,7 +240,7 @@ def read_corrections(out: Path, say: Say = warn) -> pd.DataFrame:
     return read(out, say).corrections
 
 
-def load(out: str | os.PathLike[str]) -> pd.DataFrame:
+def load(out: Any) -> pd.DataFrame:
     """The episodes of a run folder as a pandas frame: a row for each run and episode.
 
     Rows are ordered by algo, oracle, error, the settings that vary, seed, episode. Parts that are damaged are left out
@@ -267,10 +267,10 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         ValueError: `out` is no run folder, holds no episodes yet, or none that is whole.
     """
-    return _read_some(Path(out)).episodes
+    return _read_some(checked_path("out", out)).episodes
 
 
-def load_corrections(out: str | os.PathLike[str]) -> pd.DataFrame:
+def load_corrections(out: Any) -> pd.DataFrame:
     """The corrections of a run folder as a pandas frame: a row for each of the first 200 of each run.
 
     A correction of several action dimensions has a row for each. Rows are ordered as those of `load`, then by step and
@@ -290,7 +290,7 @@ def load_corrections(out: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         ValueError: as `load`.
     """
-    return _read_some(Path(out)).corrections
+    return _read_some(checked_path("out", out)).corrections
 
 
 def _read_some(out: Path) -> Rows:

@@ -1,14 +1,15 @@
 """The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, Real
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from gpcjax.policies.base import ByIdentity
+from gpcjax.errors import UserError
+from gpcjax.policies.base import ByIdentity, Vector, vector
 from gpcjax.teachers.base import Teacher
 
 
@@ -71,31 +72,35 @@ class Advisor(ByIdentity):
     Fields:
         expert: what it would do, obs (obs_size,) -> action (action_size,) in [-1, 1].
         oracle: when and how it advises.
+        obs_size, action_size: of the task. Static.
     """
 
     expert: Callable[[Float[Array, " obs"]], Float[Array, " action"]]
     oracle: Oracle
+    obs_size: int = eqx.field(static=True)
+    action_size: int = eqx.field(static=True)
 
-    def target(self, obs: Real[ArrayLike, " obs"] | Sequence[float]) -> Float[Array, " action"]:
-        """The expert's action at `obs`."""
-        return self.expert(jnp.asarray(obs, float))
+    def target(self, obs: Vector) -> Float[Array, " action"]:
+        """The expert's action at `obs` (obs_size,). Raises ValueError for another shape."""
+        return self.expert(jnp.asarray(vector("obs", obs, self.obs_size, "this oracle")))
 
     def advise(
-        self,
-        key: PRNGKeyArray,
-        obs: Real[ArrayLike, " obs"] | Sequence[float],
-        action: Real[ArrayLike, " action"] | Sequence[float],
-        sigma_human: Real[ArrayLike, " action"] | Sequence[float] | None = None,
+        self, key: PRNGKeyArray, obs: Vector, action: Vector, sigma_human: Vector | None = None
     ) -> Float[Array, " action"]:
         """H (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
 
         Raises:
-            ValueError: active learning needs `sigma_human`, from `Learner.uncertainty`.
+            ValueError: a shape does not fit, or active learning needs `sigma_human`, from `Learner.uncertainty`.
         """
-        action = jnp.asarray(action, float)
+        action = self._of_actions("action", action)
         if sigma_human is None:
             if self.oracle.active:
-                raise ValueError("this oracle learns actively: give sigma_human, from learner.uncertainty")
+                raise UserError("this oracle learns actively: give sigma_human, from learner.uncertainty")
             sigma_human = jnp.zeros_like(action)
         coins = jax.random.uniform(key, action.shape)
-        return self.oracle.advise(coins, action, self.target(obs), jnp.asarray(sigma_human, float))
+        return self.oracle.advise(
+            coins, action, self.target(obs), self._of_actions("sigma_human", sigma_human)
+        )
+
+    def _of_actions(self, name: str, value: Vector) -> Float[Array, " action"]:
+        return jnp.asarray(vector(name, value, self.action_size, "this oracle"))

@@ -1,11 +1,15 @@
 """The return of a fixed policy."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from gpcjax.engine import streams
+from gpcjax.engine import programs, streams
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.cartpole import CartPole
+from gpcjax.envs.host import HostEnv
 from tests.engine.tasks import Drift, advance, expert, reset
 
 
@@ -36,3 +40,120 @@ def test_idle_does_nothing():
     assert returns.returns.shape == (20,)
     np.testing.assert_array_equal(returns.returns, returns.length)
     assert 20 < returns.returns.mean() < 80
+
+
+@pytest.mark.parametrize(
+    "env", [CartPole(max_steps=30), HostEnv("p", "Pendulum-v1", 30)], ids=["compiled", "host"]
+)
+class TestWhatIsNotFinite:
+    """Its episode ends with no return, after the steps taken until then; the others go on."""
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+    @pytest.mark.parametrize("library", [jnp, np])
+    def test_an_action(self, env, library, value):
+        def policy(obs):
+            return library.where(obs[:1] > 0, value, 0.0 * library.asarray(obs[:1]))
+
+        got, idly = evaluate(env, policy, 6), evaluate(env, idle(env), 6)
+        lost = np.isnan(np.asarray(got.returns))
+        assert lost.any() and (np.asarray(got.length)[lost] < np.asarray(idly.length)[lost]).any()
+        np.testing.assert_allclose(np.asarray(got.returns)[~lost], np.asarray(idly.returns)[~lost])
+
+    def test_from_the_start(self, env):
+        got = evaluate(env, lambda obs: obs[:1] * np.nan, 3)
+        assert np.isnan(np.asarray(got.returns)).all() and not got.length.any()
+
+
+class Exploding(CartPole):
+    """Its position is no number from the third step on; the limits, compared with it, would never end it."""
+
+    def step(self, state, action):
+        after = super().step(state, action)
+        return eqx.tree_at(lambda state: state.obs, after, jnp.where(after.time < 3, after.obs, jnp.nan))
+
+
+def test_an_observation_that_is_not_finite_is_the_last():
+    got = evaluate(Exploding(), idle(Exploding()), 3)
+    assert np.isnan(np.asarray(got.returns)).all() and got.length.tolist() == [3, 3, 3]
+
+
+@pytest.mark.parametrize("starts", [0, -1, 1.5, 2.0, True, "3", None, np.nan, 10**9])
+def test_starts_is_a_whole_number(starts):
+    with pytest.raises(ValueError, match=r"starts .*: give a whole number from 1 to 1,000,000"):
+        evaluate(CartPole(), lambda obs: obs[:1], starts)
+    assert evaluate(CartPole(max_steps=2), lambda obs: obs[:1], np.int64(2)).returns.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    "env", [CartPole(max_steps=5), HostEnv("p", "Pendulum-v1", 5)], ids=["compiled", "host"]
+)
+@pytest.mark.parametrize(
+    "policy",
+    [
+        lambda obs: obs,
+        lambda obs: obs[0],
+        lambda obs: obs[:1] * 1j,
+        lambda obs: obs[:1] > 0,
+        lambda obs: 0.5,
+        lambda obs: np.zeros(2),
+        lambda obs: None,
+        lambda obs: "left",
+        3,
+    ],
+)
+def test_actions_of_another_size_or_type(env, policy):
+    with pytest.raises(ValueError, match=r"the policy's action .* takes|policy 3: give a function"):
+        evaluate(env, policy, 2)
+
+
+def test_a_policy_of_numpy_gives_what_one_of_jax_does():
+    env = CartPole(max_steps=60)
+    ours = evaluate(env, lambda obs: jnp.tanh(9.0 * obs[2:3] + obs[3:]), 4)
+    plain = evaluate(env, lambda obs: np.tanh(9.0 * np.asarray(obs)[2:3] + float(obs[3])), 4)
+    np.testing.assert_allclose(plain.returns, ours.returns)
+    draws = np.random.default_rng(0)
+    asked = []
+    evaluate(env, lambda obs: asked.append(1) or draws.uniform(-1, 1, size=1), 2)
+    assert len(asked) > 10, "a result that is not jax's may be another one each time"
+
+
+def test_one_program_for_functions_that_do_the_same(monkeypatch):
+    """Whatever their numbers and arrays are; what they refer to is taken as it is now."""
+    compiled = []
+    compile_ = jax.stages.Lowered.compile
+    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda self: compiled.append(1) or compile_(self))
+    env, gains = CartPole(max_steps=40), jnp.array([0.0, 0.0, 9.0, 1.0])
+    returns = []
+    for factor in (1.0, -1.0, 0.5, 0.25):
+        policy = lambda obs, gains=gains * factor, bias=factor / 7: (gains @ obs + bias)[None]  # noqa: E731
+        returns.append(float(evaluate(env, policy, 3).returns.mean()))
+    assert len(compiled) == 1 and len(set(returns)) > 1
+    sign = 1.0
+
+    def changing(obs):
+        return sign * jnp.tanh(9.0 * obs[2:3])
+
+    before = evaluate(env, changing, 3).returns
+    sign = -1.0
+    assert (evaluate(env, changing, 3).returns < before).all() and len(compiled) == 2
+    for shift in range(20):
+        evaluate(CartPole(max_steps=1), lambda obs, shift=shift: jnp.roll(obs, shift)[:1], 1)
+    assert len(programs._programs) <= programs.KEPT
+
+
+def test_large_constants_are_told_apart():
+    """Of functions that a person has compiled: their arrays are part of the program."""
+    env, weights = CartPole(max_steps=40), np.random.default_rng(0).normal(size=(300, 4))
+    one, other = (
+        evaluate(env, jax.jit(lambda obs, w=w: jnp.tanh((jnp.asarray(w) @ obs).sum())[None]), 4).returns
+        for w in (weights, -weights)
+    )
+    assert (np.asarray(one) != np.asarray(other)).any()
+
+
+def test_inside_jit():
+    """As part of a larger program, also for several values at once."""
+    env = CartPole(max_steps=40)
+    score = lambda gain: evaluate(env, lambda obs: jnp.tanh(gain * obs[2:3]), 3).returns.mean()  # noqa: E731
+    together = jax.jit(jax.vmap(score))(jnp.array([9.0, -9.0]))
+    np.testing.assert_allclose(together, [score(9.0), score(-9.0)])

@@ -89,7 +89,7 @@ def test_refusals() -> None:
         brax_env("fats")
     with pytest.raises(ValueError, match="Fast is wrapped in AutoResetWrapper"):
         brax_env(AutoResetWrapper(VmapWrapper(fast, 2)))
-    with pytest.raises(ValueError, match="max_steps must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="max_steps 0: give a whole number from 1"):
         brax_env("fast", max_steps=0)
     with pytest.raises(ValueError, match="backend: only a brax environment given by its name"):
         brax_env(fast, backend="spring")

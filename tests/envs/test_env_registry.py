@@ -83,12 +83,12 @@ def test_unknown_names() -> None:
     with pytest.raises(ValueError, match=f"unknown oracle 'energy' for cartpole; allowed: {known}$"):
         make_expert("cartpole", "energy")
     with pytest.raises(
-        ValueError, match=r"unknown parameter 'masspole' of cartpole; allowed: gravity, .*pole_mass"
+        ValueError, match=r"unknown parameter 'masspole' of cartpole.*; allowed: gravity, .*pole_mass"
     ):
         make_env("cartpole", masspole=0.1)
     with pytest.raises(ValueError, match="unknown parameter 'gravity' of lunarlander; allowed: max_steps"):
         make_env("lunarlander", gravity=-5.0)
-    with pytest.raises(ValueError, match="pendulum: max_steps must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="pendulum: max_steps 0: give a whole number from 1"):
         make_env("pendulum", max_steps=0)
 
 

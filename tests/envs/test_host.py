@@ -173,7 +173,7 @@ class TestSimulation:
         ("LunarLander-v3", 10, r"task: actions are Discrete\(4\), a bounded Box of one axis is needed"),
         ("CarRacing-v3", 10, r"task: observations of shape \(96, 96, 3\), a vector is needed"),
         ("FrozenLake-v1", 10, r"task: observations of shape \(\), a vector is needed"),
-        ("Pendulum-v1", 0, r"task: max_steps must be at least 1, got 0"),
+        ("Pendulum-v1", 0, r"task: max_steps 0: give a whole number from 1"),
     ],
 )
 def test_refusals(gym_id: str, max_steps: int, message: str) -> None:

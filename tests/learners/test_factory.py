@@ -10,6 +10,7 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
 from gpcjax.learners.presets import PRESETS, SIZES
 from tests.reference.domains import DOMAINS
+from tests.trees import assert_same_bits
 
 
 @pytest.mark.parametrize("name", DOMAINS)
@@ -120,7 +121,7 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        (("gcp", "cartpole"), {}, "algo 'gcp' is not known: choose one of gpc, gpc-ns, coach"),
+        (("gcp", "cartpole"), {}, "algo 'gcp' is not known.*: choose one of gpc, gpc-ns, coach"),
         (
             ("gpc", "cartpol"),
             {},
@@ -128,7 +129,7 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
         ),
         (("gpc",), {}, "obs_size and action_size missing: give sizes, or one of the envs"),
         (("gpc",), {"obs_size": 3}, "action_size missing"),
-        (("gpc",), {"obs_size": 0, "action_size": 1}, "obs_size 0: give a whole number of at least 1"),
+        (("gpc",), {"obs_size": 0, "action_size": 1}, "obs_size 0: give a whole number from 1"),
         (("gpc",), {"obs_size": 2.5, "action_size": 1}, "obs_size 2.5: give a whole number"),
         (("gpc", "cartpole"), {"capacity": 0}, "policy_capacity 0: give a whole number"),
         (("gpc", "cartpole"), {"capacity": True}, "policy_capacity True: give a whole number"),
@@ -140,7 +141,7 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
         (
             ("gpc", "cartpole"),
             {"nosie": 1.0},
-            "'nosie' is not an option of this learner: choose from .*noise",
+            "'nosie' is not an option of this learner .did you mean noise..: choose from .*noise",
         ),
         (("coach", "cartpole"), {"capacity": 8}, "'capacity' is not an option of this learner"),
         (
@@ -149,37 +150,37 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
             "'policy_variance' is not an option of this learner",
         ),
         (("gpc", "cartpole"), {"human": {"nu": 0.5}}, "'human_nu' is not an option of this learner"),
-        (("gpc", "cartpole"), {"policy": {"variance": 0.0}}, "policy_variance 0.0: give a positive number"),
+        (("gpc", "cartpole"), {"policy": {"variance": 0.0}}, "policy_variance 0.0: give a number above 0"),
         (
             ("gpc", "cartpole"),
             {"policy": {"length_scale": -1}},
-            "policy_length_scale -1: give a positive number",
+            "policy_length_scale -1: give a number above 0",
         ),
         (
             ("gpc", "cartpole"),
             {"human": {"length_scale": math.inf}},
-            "human_length_scale inf: give a positive number",
+            "human_length_scale inf: give a number above 0",
         ),
-        (("gpc", "cartpole"), {"noise": 0.0}, "noise 0.0: give a positive number"),
-        (("gpc", "cartpole"), {"noise": "small"}, "noise 'small': give a positive number"),
-        (("gpc", "cartpole"), {"noise": None}, "noise None: give a positive number"),
-        (("gpc", "cartpole"), {"constant_rate": -0.1}, "constant_rate -0.1: give a non-negative number"),
-        (("gpc", "cartpole"), {"constant_rate": math.nan}, "constant_rate nan: give a non-negative number"),
-        (("gpc", "cartpole"), {"policy_nu": 2}, "policy_nu 2: choose 0.5, 1.5 or 2.5"),
+        (("gpc", "cartpole"), {"noise": 0.0}, "noise 0.0: give a number above 0"),
+        (("gpc", "cartpole"), {"noise": "small"}, "noise 'small': give a number above 0"),
+        (("gpc", "cartpole"), {"noise": None}, "noise None: give a number above 0"),
+        (("gpc", "cartpole"), {"constant_rate": -0.1}, "constant_rate -0.1: give a number of at least 0"),
+        (("gpc", "cartpole"), {"constant_rate": math.nan}, "constant_rate nan: give a number of at least 0"),
+        (("gpc", "cartpole"), {"policy_nu": 2}, "policy_nu 2: give 0.5, 1.5 or 2.5"),
         (
             ("gpc", "cartpole"),
             {"on_full": "drpo"},
-            "on_full 'drpo' is not known: choose one of error, replace-nearest, drop",
+            "on_full 'drpo': give error, replace-nearest or drop .did you mean drop",
         ),
         (
             ("gpc", "cartpole"),
             {"scaling": (1.0, 2.0)},
-            r"scaling \(1.0, 2.0\): give one finite number, or 4 of them",
+            r"scaling \(1.0, 2.0\): give a finite number, or 4 of them",
         ),
-        (("gpc", "cartpole"), {"scaling": math.nan}, "scaling nan: give one finite number"),
-        (("gpc", "cartpole"), {"scaling": "wide"}, "scaling 'wide': give one finite number"),
+        (("gpc", "cartpole"), {"scaling": math.nan}, "scaling nan: give a finite number"),
+        (("gpc", "cartpole"), {"scaling": "wide"}, "scaling 'wide': give a finite number"),
         (("coach",), OWN, "COACH needs its grid: lower, upper and counts"),
-        (("coach",), OWN | GRID | {"counts": (3, 1)}, r"counts \(3, 1\): give 2 numbers of at least 2"),
+        (("coach",), OWN | GRID | {"counts": (3, 1)}, r"counts 1: give a whole number from 2"),
         (("coach",), OWN | GRID | {"counts": (3, 4, 5)}, r"counts \(3, 4, 5\): give 2 numbers of at least 2"),
         (
             ("coach",),
@@ -189,19 +190,44 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
         (
             ("coach",),
             OWN | GRID | {"upper": (1, math.inf)},
-            r"upper \(1, inf\): give one finite number, or 2 of them",
+            r"upper \(1, inf\): give a finite number, or 2 of them",
         ),
         (
             ("coach",),
             OWN | GRID | {"beta": (1.0, 2.0)},
-            r"beta \(1.0, 2.0\): give one positive number, or 1 of them",
+            r"beta \(1.0, 2.0\): give a number above 0, or 1 of them",
         ),
-        (("coach", "cartpole"), {"beta": 0.0}, "beta 0.0: give one positive number"),
-        (("coach", "cartpole"), {"magnitude": -1.0}, "magnitude -1.0: give one positive number"),
+        (("coach", "cartpole"), {"beta": 0.0}, "beta 0.0: give a number above 0"),
+        (("coach", "cartpole"), {"magnitude": -1.0}, "magnitude -1.0: give a number above 0"),
+        (("gpc", "cartpole"), {"sparsify": "no"}, "sparsify 'no': give true or false"),
+        (("gpc", "cartpole"), {"sparsify": 1}, "sparsify 1: give true or false"),
+        (("gpc", "cartpole"), {"static_rate": 0}, "static_rate 0: give a number above 0"),
+        (
+            ("gpc", "cartpole"),
+            {"static_rate": 0.1, "constant_rate": 0.1},
+            "constant_rate: beside static_rate",
+        ),
+        (("gpc", "cartpole"), {"policy": "x"}, "policy 'x': give values by name"),
+        (("gpc", "cartpole"), {"human": {3: 0.1}}, "human {3: 0.1}: give values by name"),
+        (
+            ("gpc", "cartpole"),
+            {"policy": {"nu": 0.5}, "policy_nu": 0.5},
+            "policy_nu is given twice",
+        ),
+        (("gpc", "cartpole"), {"noise": True}, "noise True: give a number above 0"),
+        (("gpc", "cartpole"), {"noise": 1j}, "noise 1j: give a number above 0"),
+        (("gpc", "cartpole"), {"noise": b"1"}, "noise b'1': give a number above 0"),
+        (("gpc", "cartpole"), {"noise": 10**400}, r"noise 1000+\.\.\.: give a number above 0"),
+        (("gpc", "cartpole"), {"scaling": [True] * 4}, "scaling .*: give a finite number, or 4 of them"),
+        (("gpc", "cartpole"), {"scaling": b"abcd"}, "scaling b'abcd': give a finite number"),
+        (("gpc", "cartpole"), {"capacity": 8.0}, "policy_capacity 8.0: give a whole number from 1 to 16,384"),
+        (("gpc", "cartpole"), {"capacity": 10**9}, "policy_capacity 1000000000: give a whole number"),
+        (("coach",), OWN | GRID | {"counts": "34"}, "counts '34': give 2 numbers of at least 2"),
+        (("coach",), OWN | GRID | {"counts": (10**5, 10**5)}, "10,000,000,000 features for each of 1 action"),
         (
             ("coach", "cartpole"),
             {"coach_constant": -1.0},
-            "coach_constant -1.0: give one non-negative number",
+            "coach_constant -1.0: give a number of at least 0",
         ),
     ],
     ids=str,
@@ -209,3 +235,20 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
 def test_refusals_name_the_value_and_what_is_allowed(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         make_learner(*arguments, **options)
+
+
+def test_numpys_numbers_are_numbers():
+    """And the learner is the same to the bit."""
+    numpys = make_learner(
+        "gpc",
+        "cartpole",
+        capacity=np.int32(8),
+        noise=np.float64(1e-6),
+        sparsify=np.True_,
+        scaling=np.array([1, 2, 3, 4]),
+        static_rate=np.asarray(0.5),
+    )
+    plain = make_learner(
+        "gpc", "cartpole", capacity=8, noise=1e-6, sparsify=True, scaling=[1, 2, 3, 4], static_rate=0.5
+    )
+    assert_same_bits(numpys, plain)

@@ -142,8 +142,8 @@ def test_what_is_not_finite_never_enters_a_state(algo, count):
 
 
 def test_every_status_has_a_word_and_a_message():
-    assert [status.label for status in Status] == ["ok", "full", "non-finite"]
-    assert len({status.message for status in Status}) == 3
+    assert [status.label for status in Status] == ["ok", "full", "non-finite", "invalid"]
+    assert len({status.message for status in Status}) == 4
 
 
 @each_variant

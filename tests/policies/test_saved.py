@@ -76,7 +76,7 @@ def test_an_idle_policy_can_be_saved(tmp_path):
 
 def test_the_card_says_what_it_is(saved):
     card = load_card(saved)
-    assert card["format"] == 1 and card["kind"] == "kernel" and card["smoothness"] == 2.5
+    assert card["format"] == 2 and card["kind"] == "kernel" and card["smoothness"] == 2.5
     assert card["arrays"] == {"points": [2, 5, 3], "weights": [2, 5], "scale": [2, 3]}
     expected = {"learner": "GPC", "obs_size": 3, "action_size": 2, "env": "balance", "teacher": "Ada"}
     assert card["provenance"] == expected
@@ -123,6 +123,8 @@ class TestSaving:
 
     def test_only_controllers_have_a_format(self, tmp_path):
         class Other(Controller):
+            obs_size = action_size = 1
+
             def __call__(self, obs):
                 return obs
 
@@ -133,10 +135,11 @@ class TestSaving:
 class TestLoading:
     @pytest.fixture
     def broken(self, saved, tmp_path):
-        """A copy whose card is replaced."""
+        """A copy whose card is replaced, without the sums that would tell."""
 
         def make(text):
             path = shutil.copytree(saved, tmp_path / "broken")
+            (path / "SHA256SUMS").unlink()
             (path / "card.json").write_text(text if isinstance(text, str) else json.dumps(text))
             return path
 
@@ -159,6 +162,9 @@ class TestLoading:
             {"kind": "kernel"},
             {"format": 1},
             {"format": 1, "kind": "kernel"},
+            "[" * 100_000,
+            "9" * 5000,
+            '{"format": 1, "format": 1}',
         ],
         ids=str,
     )
@@ -168,17 +174,17 @@ class TestLoading:
             gpcjax.load_policy(path)
 
     def test_another_format(self, broken, saved):
-        path = broken(load_card(saved) | {"format": 2})
-        with pytest.raises(ValueError, match=r"card.json: format 2 is not known, this version reads 1"):
+        path = broken(load_card(saved) | {"format": 3})
+        with pytest.raises(ValueError, match=r"card.json: format 3 is not known, this version reads 1 and 2"):
             gpcjax.load_policy(path)
 
     def test_another_kind(self, broken, saved):
-        path = broken(load_card(saved) | {"kind": "forest"})
+        path = broken(load_card(saved) | {"format": 1, "kind": "forest"})
         with pytest.raises(ValueError, match=rf"{path / 'card.json'}: this is not a policy's card"):
             gpcjax.load_policy(path)
 
     def test_arrays_that_are_missing(self, broken, saved):
-        path = broken(load_card(saved))
+        path = broken(load_card(saved) | {"format": 1})
         shutil.rmtree(path / "arrays")
         with pytest.raises(ValueError, match=rf"{path / 'arrays'}: the arrays of this policy cannot be read"):
             gpcjax.load_policy(path)

@@ -1,0 +1,129 @@
+"""A learner and its state on disk: teaching goes on to the bit as if nothing had been between."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gpcjax
+from gpcjax.learners.factory import make_learner
+from tests.trees import assert_same_bits
+
+COACH = {"lower": (-1, -1), "upper": (1, 1), "counts": (2, 3)}
+GO_ON = """
+import sys, numpy as np, gpcjax
+learner, state = gpcjax.load_learner(sys.argv[1])
+rng = np.random.default_rng(1)
+for _ in range(4):
+    state, _ = learner.correct(state, rng.normal(size=2), np.zeros(2), rng.choice([-1, 1], size=2))
+gpcjax.save_learner(sys.argv[2], learner, state)
+"""
+
+
+def teach(learner, state, seed, corrections):
+    rng = np.random.default_rng(seed)
+    for _ in range(corrections):
+        state, _ = learner.correct(state, rng.normal(size=2), np.zeros(2), rng.choice([-1, 1], size=2))
+    return state
+
+
+def learner_of(algo):
+    options = COACH if algo == "coach" else {"capacity": 8, "static_rate": 0.1, "policy": {"nu": 2.5}}
+    return make_learner(algo, obs_size=2, action_size=2, **options)
+
+
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+def test_what_is_saved_goes_on_to_the_bit(tmp_path, algo):
+    """Also from a state that has grown."""
+    learner = learner_of(algo)
+    state = learner.grow(teach(learner, learner.init(), 0, 5))
+    gpcjax.save_learner(tmp_path / "saved", learner, state, teacher="Ada", score=np.float32(0.5))
+    loaded, again = gpcjax.load_learner(tmp_path / "saved")
+    assert_same_bits((loaded, again), (learner, state))
+    assert_same_bits(teach(loaded, again, 1, 4), teach(learner, state, 1, 4))
+
+
+def test_in_a_fresh_process_too(tmp_path):
+    learner = learner_of("gpc-ns")
+    state = teach(learner, learner.init(), 0, 3)
+    gpcjax.save_learner(tmp_path / "saved", learner, state)
+    root = Path(gpcjax.__file__).parents[1]
+    command = [sys.executable, "-c", GO_ON, str(tmp_path / "saved"), str(tmp_path / "later")]
+    subprocess.run(command, check=True, cwd=root)
+    assert_same_bits(gpcjax.load_learner(tmp_path / "later"), (learner, teach(learner, state, 1, 4)))
+
+
+def test_what_cannot_be_saved(tmp_path):
+    learner = learner_of("gpc")
+    state = learner.init()
+    batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
+    broken = jax.tree.map(lambda leaf: leaf * np.nan if leaf.dtype == float else leaf, state)
+    for given, message in (
+        ((3, state), "learner 3: give a learner"),
+        ((learner, 3), "state 3: give a state"),
+        ((learner, batch), "cannot be saved: give a learner"),
+        ((learner, learner_of("coach").init()), "give a state of this learner"),
+        ((learner, broken), "is not finite"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            gpcjax.save_learner(tmp_path / "saved", *given)
+    with pytest.raises(ValueError, match="a value of the card is no JSON value"):
+        gpcjax.save_learner(tmp_path / "saved", learner, state, score=float("inf"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_policies_and_learners_are_told_apart(tmp_path):
+    learner = learner_of("coach")
+    gpcjax.save_learner(tmp_path / "learner", learner, learner.init())
+    gpcjax.save_policy(tmp_path / "policy", learner, learner.init())
+    with pytest.raises(ValueError, match=r"policy/card.json: this is not a learner's card"):
+        gpcjax.load_learner(tmp_path / "policy")
+    with pytest.raises(ValueError, match=r"learner/card.json: this is not a policy's card"):
+        gpcjax.load_policy(tmp_path / "learner")
+
+
+@pytest.mark.parametrize("algo", ["gpc", "coach"])
+def test_advice_that_is_none_is_not_learned_under_jit(algo):
+    """There its value is not known when it is checked: the status tells, and no dimension is changed."""
+    learner = learner_of(algo)
+    state = learner.init()
+    correct = jax.jit(learner.correct)
+    for advice in ([0.5, 1.0], [1.0, 2.0], [np.nan, 0.0], [-1.0, np.inf]):
+        after, info = correct(state, jnp.ones(2), jnp.zeros(2), jnp.array(advice))
+        assert info.status == 3 and not info.rate.any()
+        assert_same_bits(after, state)
+        with pytest.raises(ValueError, match="each entry must be -1, 0 or 1"):
+            learner.correct(state, np.ones(2), np.zeros(2), advice)
+    assert correct(state, jnp.ones(2), jnp.zeros(2), jnp.array([1.0, -1.0]))[1].status == 0
+
+
+@pytest.mark.parametrize(
+    "obs", [[1j, 0], ["1", "2"], [None, 0], [True, False], b"ab", "ab", None, [[1], [2, 3]]], ids=str
+)
+def test_only_real_numbers_are_observations(obs):
+    learner = learner_of("coach")
+    state, policy = learner.init(), learner.policy_of(learner.init())
+    for call in (
+        policy,
+        lambda obs: learner.act(state, obs),
+        lambda obs: learner.correct(state, obs, [0, 0], [1, 1]),
+    ):
+        with pytest.raises(ValueError, match=r"obs .*: this (learner|policy) takes 2 real numbers"):
+            call(obs)
+
+
+def test_a_policy_without_a_file():
+    """It takes lists, says which length it takes, and works in jit and vmap."""
+    learner = learner_of("gpc")
+    state = teach(learner, learner.init(), 0, 4)
+    policy = learner.policy_of(state)
+    for obs in np.random.default_rng(2).normal(size=(3, 2)):
+        np.testing.assert_allclose(policy(obs.tolist()), learner.act(state, obs), atol=1e-15)
+        np.testing.assert_allclose(jax.jit(jax.vmap(policy))(obs[None])[0], policy(obs), atol=1e-15)
+    for wrong in ([1.0], np.zeros((2, 1)), jnp.zeros(3), 1.0):
+        with pytest.raises(ValueError, match=r"obs has shape \(.*\), this policy takes \(2,\)"):
+            policy(wrong)
