@@ -38,6 +38,7 @@ TAKES_grid := $(TAKES_sweep)
 TAKES_report := OUT
 TAKES_oracles := ENV
 TAKES_reproduce := QUICK ONLY OUT JOBS
+TAKES_publish := OUT JOBS
 TAKES_bench := ARGS
 TAKES_test := ARGS
 TAKES_torture := ARGS
@@ -68,7 +69,7 @@ with_args = $(if $(ARGS),$(WORDS) $1 $$words,$1)
 SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair)))
 REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 
-.PHONY: help sweep grid report reproduce oracles bench test torture lint format lock clean
+.PHONY: help sweep grid report reproduce publish oracles bench test torture lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -87,6 +88,10 @@ reproduce: $(READY) ## run every experiment of the thesis and report on its clai
 
 oracles: $(READY) ## learn the shipped oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)
+
+publish: $(READY) ## reproduce, then make all numbers and pictures of README and docs from it (OUT=)
+	$(GPCJAX) reproduce $(REPRODUCTION)
+	.venv/bin/python -m docs.publish $(if $(OUT),$(call quoted,OUT))
 
 bench: $(READY) ## measure the throughput
 	$(call with_args,.venv/bin/python -m benchmarks.throughput)

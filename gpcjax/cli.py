@@ -13,7 +13,7 @@ import gpcjax
 from gpcjax import cli_options
 from gpcjax.envs.registry import env_names
 from gpcjax.errors import Failure, UserError
-from gpcjax.reproduce.parts import check, chosen, folder
+from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
@@ -232,12 +232,12 @@ def _oracles(text: str | None) -> int:
 
 
 def _reproduce(arguments: argparse.Namespace) -> int:
-    only, sweeps = chosen(arguments.only), Path(arguments.sweeps)
+    only, sweeps = chosen(arguments.only), Path(arguments.sweeps) if arguments.sweeps else SWEEPS
     out = Path(os.path.expanduser(arguments.out)) if arguments.out else folder(arguments.quick)
     jobs = parse(OPTIONS["jobs"], arguments.jobs, "--jobs") if arguments.jobs else usable_cores()
     runs = check(sweeps, out, only, arguments.quick)
     if arguments.dry_run:
-        print(f"{', '.join(only)}: {runs} experiments of {sweeps}, in {jobs} processes, into {out}")
+        print(f"{', '.join(only)}: {runs} experiments, in {jobs} processes, into {out}")
         return 0
     from gpcjax.reproduce.run import reproduce
 

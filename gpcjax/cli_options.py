@@ -138,7 +138,7 @@ COMMANDS = {
                         f"folder of all runs and the report (default {folder(quick=False)})",
                         "OUT",
                     ),
-                    Flag("--sweeps", "folder of the TOML files (default sweeps)", "SWEEPS", default="sweeps"),
+                    Flag("--sweeps", "folder of the TOML files (default: those of the package)", "SWEEPS"),
                     Flag("--jobs", _help(OPTIONS["jobs"], "reproduce"), "N"),
                     Flag("--dry-run", "check all, run nothing"),
                 ),

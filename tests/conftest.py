@@ -1,5 +1,7 @@
 """Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
+import ctypes
+import gc
 import os
 import signal
 import warnings
@@ -37,3 +39,14 @@ def compiled_programs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAX_COMPILATION_CACHE_DIR", str(shared / "xla"))
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_programs_are_freed():
+    """After each module: they hold gigabytes otherwise, and no module uses another's."""
+    yield
+    jax.clear_caches()
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
+    if trim is not None:
+        trim(0)

@@ -127,6 +127,12 @@ def markdown_report(
         "\n".join(f"    {command}" for command in commands),
         _markdown_table(runs.columns, runs.rows),
         "\n".join(
+            f"- not run: {name}"
+            for part in PARTS.values()
+            for name in part.experiments
+            if name not in results
+        ),
+        "\n".join(
             f"- {title}: "
             + "; ".join(f"{name} {value}" for name, value in manifests[0][key].items() if name != "platform")
             for title, key in (("Machine", "machine"), ("Versions", "versions"))

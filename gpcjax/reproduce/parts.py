@@ -9,6 +9,10 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.spec import make_spec, read_toml
 
+SWEEPS = Path(__file__).parent / "sweeps"
+"""The TOML files of the experiments: a part of the package, so that an installed one can reproduce the thesis. In a
+checkout, `sweeps` at the top is a link to them."""
+
 
 @dataclass(frozen=True)
 class Part:

@@ -207,3 +207,11 @@ def read(path: Path) -> Illustrations:
     except (KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} does not hold these illustrations: compute them anew ({error})") from None
     return Illustrations(**records)
+
+
+def stored(path: Path) -> Illustrations | None:
+    """What `read` gives; None where there is no such file, or one of another version: it is computed anew."""
+    try:
+        return read(path)
+    except (OSError, ValueError):
+        return None

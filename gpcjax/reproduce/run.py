@@ -51,7 +51,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
     place = 0
     for part in only:
         console.print(PARTS[part].title, style="bold")
-        if part == "illustrations" and not (out / ILLUSTRATIONS).exists():
+        if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
             console.print("illustrations: computed once, about a minute")
             _illustrate(out / ILLUSTRATIONS)
         for name in PARTS[part].experiments:
@@ -72,8 +72,8 @@ def draw(out: Path, quick: bool) -> Path:
 
 
 def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
-    results = _results(out)
-    shown = records.read(out / ILLUSTRATIONS) if (out / ILLUSTRATIONS).exists() else None
+    results = results_of(out)
+    shown = records.stored(out / ILLUSTRATIONS)
     tested, drawn = claims(results, shown), _figures(results, shown)
     pictures: dict[str, list[Picture]] = {}
     captions: dict[str, dict[str, str]] = {}
@@ -131,7 +131,7 @@ def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:
     return make_spec(given)
 
 
-def _results(out: Path) -> dict[str, Experiment]:
+def results_of(out: Path) -> dict[str, Experiment]:
     """Every experiment that is complete, by its name; and those that make a part, by the name of the part."""
     results = {}
     for part, content in PARTS.items():

@@ -1,0 +1,150 @@
+"""Makes every number and picture of README.md and docs/ from a finished reproduction (`make publish`).
+
+    python -m docs.publish [FOLDER]     FOLDER is that of `make reproduce`, runs/reproduction if not given
+
+What is made is written between marks (`<!-- results -->` ... `<!-- /results -->`) or as whole files, and
+`docs/published.json` keeps what it was made of: the specification of each experiment, the machine and versions that ran
+it, a checksum of every text and file, and `drawn`, a fingerprint of what this version of the program makes of fixed
+data. `tests/test_published.py` compares these with the checkout: a specification, a statistic or a sentence that has
+changed since, and a text that was edited by hand, are stale until somebody publishes again.
+"""
+
+import hashlib
+import json
+import re
+import shutil
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gpcjax.report import curves, style
+from gpcjax.report.tables import Sheet, difference_sheets, reading, result_sheets
+from gpcjax.reproduce import page
+from gpcjax.reproduce.claims import claims
+from gpcjax.reproduce.parts import PARTS, SWEEPS
+from gpcjax.reproduce.results import Experiment
+from gpcjax.reproduce.run import draw, results_of
+from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.plan import specification_hash
+from gpcjax.sweep.spec import make_spec, read_toml
+
+ROOT = Path(__file__).parents[1]
+README, RECORD = ROOT / "README.md", ROOT / "docs" / "published.json"
+PAGES = ROOT / "docs" / "reproduction"
+
+NAMES = {"cartpole": "Cart-pole", "pendulum": "Pendulum", "lander": "Lunar lander"}
+
+
+def publish(folder: Path) -> None:
+    """Writes README's blocks, docs/reproduction, docs/cartpole.png and the record of them."""
+    results = results_of(folder)
+    draw(folder, quick=False)
+    PAGES.mkdir(exist_ok=True)
+    shutil.rmtree(PAGES / "figures", ignore_errors=True)
+    shutil.copytree(folder / "figures", PAGES / "figures", ignore=shutil.ignore_patterns("*.pdf", ".*"))
+    for source, target in (
+        ("report.md", "README.md"),
+        ("claims.csv", "claims.csv"),
+        ("claims.md", "claims.md"),
+    ):
+        shutil.copyfile(folder / source, PAGES / target)
+    picture = curves.learning_curves(results["cartpole"].summary)
+    write_atomic(ROOT / "docs" / "cartpole.png", style.image(picture.figure, "png"))
+
+    blocks = {
+        "caption": f"{NAMES['cartpole']}: {picture.caption} The first command below draws it.\n",
+        "results": _results(results),
+        "claims": (PAGES / "claims.md").read_text(),
+    }
+    text = README.read_text()
+    for name, block in blocks.items():
+        text = re.sub(
+            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
+            lambda marks, block=block: marks[1] + block + marks[2],
+            text,
+            flags=re.DOTALL,
+        )
+    write_atomic(README, text)
+    write_atomic(RECORD, json.dumps(_record(results), indent=1) + "\n")
+
+
+def published_files() -> dict[str, str]:
+    """SHA-256 of everything that is made here, by its path; of README of the text between each pair of marks."""
+    files = [ROOT / "docs" / "cartpole.png", *sorted(path for path in PAGES.rglob("*") if path.is_file())]
+    sums = {str(path.relative_to(ROOT)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    for name, block in re.findall(r"<!-- (\w+) -->\n(.*?)<!-- /\1 -->", README.read_text(), re.DOTALL):
+        sums[f"README.md: {name}"] = hashlib.sha256(block.encode()).hexdigest()
+    return sums
+
+
+def specifications() -> dict[str, str]:
+    """The hash of each experiment as the checkout has it; of one that takes its rates from another's, of its file."""
+    hashes = {}
+    for name in (name for part in PARTS.values() for name in part.experiments):
+        given = read_toml(SWEEPS / f"{name}.toml")
+        if given.pop("rate_from", None) is None:
+            hashes[name] = specification_hash(make_spec(given))
+        else:
+            hashes[name] = hashlib.sha256((SWEEPS / f"{name}.toml").read_bytes()).hexdigest()[:12]
+    return hashes
+
+
+def fingerprint(results: Mapping[str, Experiment]) -> str:
+    """What this version makes of these experiments: tables, claims and the captions of their curves."""
+    texts = [page.csv_of(claims(results))]
+    for experiment in results.values():
+        summary = experiment.summary
+        texts += map(repr, result_sheets(summary) + difference_sheets(summary))
+        texts += [*reading(summary), curves.learning_curves(summary).caption]
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:12]
+
+
+def fixed_data() -> dict[str, Experiment]:
+    """Experiments made of formulas, for `fingerprint`."""
+    from tests.reproduce import studies
+
+    return {"cartpole": studies.experiment(), "pendulum": studies.experiment("pendulum")}
+
+
+def _record(results: Mapping[str, Experiment]) -> dict[str, Any]:
+    now = specifications()
+    run = {name: results[name].study.manifest for name in now if name in results}
+    return {
+        "experiments": {name: now[name] for name in run},
+        "missing": [name for name in now if name not in run],
+        "machines": _distinct(manifest["machine"] for manifest in run.values()),
+        "versions": _distinct(manifest["versions"] for manifest in run.values()),
+        "drawn": fingerprint(fixed_data()),
+        "files": published_files(),
+    }
+
+
+def _distinct(records: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    found: list[Mapping[str, Any]] = []
+    for record in records:
+        if record not in found:
+            found.append(record)
+    return found
+
+
+def _results(results: Mapping[str, Experiment]) -> str:
+    """Tables of the three tasks, and how to read them."""
+    lines = []
+    for part, name in NAMES.items():
+        if part not in results:
+            continue
+        summary, specification = results[part].summary, results[part].study.manifest["specification"]
+        (sheet,), differences = result_sheets(summary), difference_sheets(summary)
+        lines += [f"**{name}**, {specification['episodes']} episodes, {sheet.title.partition(', ')[2]}:", ""]
+        lines += [_markdown(sheet), *map(_markdown, differences)]
+    return "\n".join([*lines, *reading(results["cartpole"].summary)]) + "\n"
+
+
+def _markdown(sheet: Sheet) -> str:
+    rows = [sheet.columns, ["---"] * len(sheet.columns), *sheet.rows]
+    return "".join("| " + " | ".join(cell.strip() for cell in row) + " |\n" for row in rows)
+
+
+if __name__ == "__main__":
+    publish(Path(sys.argv[1]) if sys.argv[1:] else Path("runs", "reproduction"))
