@@ -52,8 +52,8 @@ SWALLOWED = """
 LINE = "gpcjax: stopped: out keeps what is finished, the same command goes on from there\n"
 
 
-def start(body, folder, **options):
-    command = [sys.executable, "-c", CHILD.format(body=body.strip())]
+def start(body, folder, before=(), **options):
+    command = [*before, sys.executable, "-c", CHILD.format(body=body.strip())]
     environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)}
     child = subprocess.Popen(
         command,
@@ -98,7 +98,7 @@ def test_what_a_library_makes_of_it_is_still_a_stop(tmp_path):
 
 def test_what_the_shell_ignores_stays_ignored(tmp_path):
     """Under nohup, a closed terminal ends nothing."""
-    child = start(SWEEPING, tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    child = start(SWEEPING, tmp_path, before=["sh", "-c", 'trap "" HUP; exec "$@"', "sh"])
     child.send_signal(signal.SIGHUP)
     time.sleep(0.2)
     assert child.poll() is None

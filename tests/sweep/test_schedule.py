@@ -156,7 +156,7 @@ class TestCommandLine:
         assert not list(tmp_path.iterdir())
 
     def test_dry_run_into_its_own_folder(self, active, tmp_path):
-        words = [*FOLLOWER.split(), "--seeds=1", f"--rate-from={active}", f"--out={tmp_path / 'out'}"]
+        words = [*FOLLOWER.split(), f"--rate-from={active}", f"--out={tmp_path / 'out'}"]
         assert cli.main(words) == 0
         assert cli.main([*words, "--dry-run"]) == 0
 
@@ -171,7 +171,8 @@ class TestCommandLine:
     )  # fmt: skip
     def test_refused(self, active, tmp_path, capsys, monkeypatch, flag, message, more):
         monkeypatch.chdir(tmp_path)
-        words = [*FOLLOWER.split(), f"--rate-from={active}", flag, "--out=out", *more]
+        source = [] if flag.startswith("--rate-from") else [f"--rate-from={active}"]
+        words = [*FOLLOWER.split(), *source, flag, "--out=out", *more]
         assert cli.main(words) == 2
         assert capsys.readouterr().err == f"gpcjax: error: {message}\n"
         assert not list(tmp_path.iterdir())
