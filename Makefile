@@ -100,7 +100,7 @@ test: $(READY) ## run every test
 	$(call with_args,.venv/bin/python -m pytest -n 2)
 
 torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found
-	.venv/bin/python -m tests.torture $(value ARGS)
+	$(call with_args,.venv/bin/python -m tests.torture)
 
 lint: $(READY) ## check style, types and the direction of imports
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .

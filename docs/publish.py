@@ -33,12 +33,22 @@ ROOT = Path(__file__).parents[1]
 README, RECORD = ROOT / "README.md", ROOT / "docs" / "published.json"
 PAGES = ROOT / "docs" / "reproduction"
 
+BLOCKS = ("caption", "results", "claims")
+"""Of README, each between its marks."""
+
 NAMES = {"cartpole": "Cart-pole", "pendulum": "Pendulum", "lander": "Lunar lander"}
 
 
 def publish(folder: Path) -> None:
     """Writes README's blocks, docs/reproduction, docs/cartpole.png and the record of them."""
-    results = results_of(folder)
+    results, text = results_of(folder), README.read_text()
+    if "cartpole" not in results:
+        raise SystemExit(
+            f"{folder}: there is no finished reproduction of the cart-pole, run make reproduce first"
+        )
+    lacking = [name for name in BLOCKS if f"<!-- {name} -->\n" not in text or f"<!-- /{name} -->" not in text]
+    if lacking:
+        raise SystemExit(f"README.md has no marks for {', '.join(lacking)}")
     draw(folder, quick=False)
     PAGES.mkdir(exist_ok=True)
     shutil.rmtree(PAGES / "figures", ignore_errors=True)
@@ -57,7 +67,6 @@ def publish(folder: Path) -> None:
         "results": _results(results),
         "claims": (PAGES / "claims.md").read_text(),
     }
-    text = README.read_text()
     for name, block in blocks.items():
         text = re.sub(
             rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
@@ -147,4 +156,4 @@ def _markdown(sheet: Sheet) -> str:
 
 
 if __name__ == "__main__":
-    publish(Path(sys.argv[1]) if sys.argv[1:] else Path("runs", "reproduction"))
+    publish(Path(sys.argv[1]).expanduser() if sys.argv[1:] else Path("runs", "reproduction"))

@@ -137,8 +137,8 @@ def shown(value: object) -> str:
     """`value` as it stands in a message: on one line, and never longer than a line should be."""
     try:
         text = " ".join(repr(plain(value)).split())
-    except ValueError:  # an integer of thousands of digits
-        text = f"({type(value).__name__})"
+    except (RecursionError, ValueError):  # tables in tables, or an integer of more digits than Python writes
+        text = f"of type {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -201,6 +201,7 @@ def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:
         _note()
         with held(out):  # until the report is written, too
             run(spec, out, jobs)
+            (out / FAULT).unlink(missing_ok=True)
             return _report(out)
     except KeyboardInterrupt as stop:
         return _stopped(out, stop)
@@ -233,8 +234,12 @@ def _oracles(text: str | None) -> int:
 
 def _reproduce(arguments: argparse.Namespace) -> int:
     only, sweeps = chosen(arguments.only), Path(arguments.sweeps) if arguments.sweeps else SWEEPS
-    out = Path(os.path.expanduser(arguments.out)) if arguments.out else folder(arguments.quick)
-    jobs = parse(OPTIONS["jobs"], arguments.jobs, "--jobs") if arguments.jobs else usable_cores()
+    given = {
+        name: getattr(arguments, name) for name in ("out", "jobs") if getattr(arguments, name) is not None
+    }
+    given = {name: parse(OPTIONS[name], text, f"--{name}") for name, text in given.items()}
+    out = Path(os.path.expanduser(given["out"])) if "out" in given else folder(arguments.quick)
+    jobs = given.get("jobs", usable_cores())
     runs = check(sweeps, out, only, arguments.quick)
     if arguments.dry_run:
         print(f"{', '.join(only)}: {runs} experiments, in {jobs} processes, into {out}")

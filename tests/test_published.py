@@ -2,25 +2,32 @@
 
 import json
 
+import pytest
+
 from docs import publish
 
-RECORD = json.loads(publish.RECORD.read_text())
 STALE = "stale: run `make publish`"
 
 
-def test_nothing_was_edited_by_hand():
-    assert publish.published_files() == RECORD["files"], STALE
-    assert {"README.md: caption", "README.md: results", "README.md: claims"} <= set(RECORD["files"])
+@pytest.fixture
+def record():
+    assert publish.RECORD.exists(), STALE
+    return json.loads(publish.RECORD.read_text())
 
 
-def test_the_experiments_are_those_of_the_checkout():
+def test_nothing_was_edited_by_hand(record):
+    assert publish.published_files() == record["files"], STALE
+    assert {"README.md: caption", "README.md: results", "README.md: claims"} <= set(record["files"])
+
+
+def test_the_experiments_are_those_of_the_checkout(record):
     now = publish.specifications()
-    assert {name: now[name] for name in RECORD["experiments"]} == RECORD["experiments"], STALE
-    assert set(RECORD["experiments"]) | set(RECORD["missing"]) == set(now)
+    assert {name: now[name] for name in record["experiments"]} == record["experiments"], STALE
+    assert set(record["experiments"]) | set(record["missing"]) == set(now)
     page = (publish.PAGES / "README.md").read_text()
-    for name in RECORD["missing"]:
+    for name in record["missing"]:
         assert f"not run: {name}" in page
 
 
-def test_this_version_makes_the_same_of_the_same_data():
-    assert publish.fingerprint(publish.fixed_data()) == RECORD["drawn"], STALE
+def test_this_version_makes_the_same_of_the_same_data(record):
+    assert publish.fingerprint(publish.fixed_data()) == record["drawn"], STALE

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.elementary import decay, sin_cos
 from gpcjax.envs.base import Env, State, begin, parameter
 from gpcjax.envs.cartpole import CartPole
@@ -22,6 +23,7 @@ from gpcjax.envs.pendulum import Pendulum
 from gpcjax.policies.base import Planner
 
 
+@under_own_settings
 def _numbers(values: ArrayLike | Sequence[float]) -> Float[Array, " n"]:
     return jnp.asarray(values, float)
 
@@ -49,7 +51,7 @@ class CartPoleMPC(Planner):
     holds: tuple[int, ...] = eqx.field(default=(3, 5, 8, 14), static=True)
     iterations: int = eqx.field(default=1, static=True)
 
-    def __call__(self, obs: Float[Array, "4"]) -> Float[Array, "1"]:
+    def plan(self, obs: Float[Array, "4"]) -> Float[Array, "1"]:
         def twice(plan: Float[Array, " knots"]) -> tuple[Array, Array]:
             residuals = self.residuals(plan, obs)
             return residuals, residuals
@@ -127,12 +129,14 @@ class PendulumMPC(Planner):
         self.energy_weight, self.temperature = parameter(energy_weight), _numbers(temperature)
         corners = jnp.asarray(list(itertools.product([-1.0, 1.0], repeat=knots)))
         # With each sample its mirror image: a mirrored observation has the mirrored action.
-        half = jax.random.normal(jax.random.key(0), (len(spread), len(corners) // 2, knots))
+        half = jax.random.normal(
+            jax.random.key(0, impl="threefry2x32"), (len(spread), len(corners) // 2, knots)
+        )
         near = _numbers(spread)[:, None, None] * jnp.concatenate([half, -half], axis=1)
         self.samples = jnp.concatenate([corners[None], near])
         self.hold = hold
 
-    def __call__(self, obs: Float[Array, "3"]) -> Float[Array, "1"]:
+    def plan(self, obs: Float[Array, "3"]) -> Float[Array, "1"]:
         start = jnp.stack([jnp.arctan2(obs[1], obs[0]), obs[2]])
 
         def improve(plan: Float[Array, " knots"], given: tuple[Array, Array]) -> tuple[Array, None]:

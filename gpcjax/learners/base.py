@@ -115,7 +115,7 @@ class Learner(ByIdentity):
 
         Returns:
             The new state, of the same shapes, and what was done. A status other than `Status.OK` means that the
-            correction was not learned.
+            correction was not learned in at least one dimension: `Info.rate` is 0 there.
 
         Raises:
             ValueError: a shape does not fit, there are no real numbers, or advice is none of -1, 0, 1. Where jax traces

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
@@ -27,6 +28,7 @@ _OWN = ("learner", "obs_size", "action_size")
 """What the card of a policy says of its learner."""
 
 
+@under_own_settings
 def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> None:
     """Writes the policy of `state` into a new folder, for `load_policy`.
 
@@ -45,11 +47,14 @@ def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> Non
     if taken:
         raise UserError(f"{taken[0]}: the learner says it itself, leave it out")
     sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
+    if jax.tree.structure(state) != jax.tree.structure(jax.eval_shape(learner.init)):
+        raise UserError(f"state {shown(state)}: give a state of this learner")
     save_controller(
         path, learner.controller(state), {"learner": type(learner).__name__, **sizes, **provenance}
     )
 
 
+@under_own_settings
 def save_learner(path: Any, learner: Any, state: State, **provenance: Any) -> None:
     """Writes a learner and its state into a new folder, for `load_learner`: all that is needed to go on teaching.
 
@@ -81,6 +86,7 @@ def save_learner(path: Any, learner: Any, state: State, **provenance: Any) -> No
     write_folder(path, {"kind": "learner", **settings, "provenance": provenance}, arrays)
 
 
+@under_own_settings
 def load_learner(path: Any) -> tuple[Learner, State]:
     """The learner and the state that `save_learner` wrote: corrections go on to the bit as if nothing had been between.
 

@@ -64,9 +64,13 @@ class Planner(ByIdentity):
     The batched loops ask any other expert for all lanes at once; a planner they ask for those alone that need it.
     """
 
+    def __call__(self, obs: Vector) -> Float[Array, " action"]:
+        """What to do at `obs`: a list, a numpy or a jax array, (obs_size,)."""
+        return self.plan(jnp.asarray(obs, float))
+
     @abc.abstractmethod
-    def __call__(self, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
-        """What to do at `obs`."""
+    def plan(self, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+        """The same for a jax array."""
 
 
 class Policy(ByIdentity):

@@ -246,6 +246,8 @@ def first_rates(
     Those of one action dimension, or of all in one row: by step, then dimension. A rate that is not finite is nan.
     """
     chosen = _belongs(group, corrections)
+    # What was refused, for want of room or of a number, is in the store with a rate of 0, and was no correction.
+    chosen &= corrections["rate"].to_numpy(np.float64) != 0.0
     if dimension is not None:
         chosen &= corrections["action_dim"].to_numpy() == dimension
     seed, episode, step, action, rate = (

@@ -7,6 +7,7 @@ import numpy as np
 from gpcjax.learners.hyperparameters import HYPERPARAMETERS
 from gpcjax.report.groups import Group, Study
 from gpcjax.report.statistics import Interval
+from gpcjax.streams import ASCII
 
 ALGORITHM_LABELS = {"gpc": "GPC", "gpc-ns": "GPC-NS", "coach": "COACH"}
 ABSENT = "-"
@@ -122,7 +123,7 @@ def interval(interval: Interval, decimals: int) -> str:
     return estimate if ABSENT in (lower, upper) else f"{estimate} [{lower}, {upper}]"
 
 
-_PLAIN = str.maketrans({"±": "+/-", "\N{MINUS SIGN}": "-", "·": "-", "…": "...", "\N{EN DASH}": "-"})
+_PLAIN = str.maketrans(ASCII)
 
 
 def printable(text: str, encoding: str | None) -> str:

@@ -14,7 +14,7 @@ from gpcjax.report.groups import FINAL_EPISODES, Group, Study, gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.reproduce.measures import Measure, known, measure, rank_correlations, ratio_of_means, slopes
 from gpcjax.sweep import store
-from gpcjax.sweep.runfolder import read_manifest, tell
+from gpcjax.sweep.runfolder import is_complete, tell
 
 EARLY = 10
 """Episodes that count as the leading part of a learning curve."""
@@ -164,7 +164,7 @@ def _ratio(top: Float[np.ndarray, " runs"], bottom: Float[np.ndarray, " runs"]) 
 
 def read(out: Path) -> Experiment | None:
     """The experiment in a run folder; None where it is missing or not complete."""
-    if not (out / "manifest.json").exists() or not read_manifest(out)["complete"]:
+    if not is_complete(out):
         return None
     rows = store.read(out, tell)
     return Experiment(gather(rows.episodes, rows.manifest), rows.episodes, rows.corrections)

@@ -21,7 +21,7 @@ from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
 from gpcjax.sweep.plan import count
 from gpcjax.sweep.run import run
-from gpcjax.sweep.runfolder import MANIFEST, check_sweep, make_writable, read_manifest
+from gpcjax.sweep.runfolder import check_sweep, is_complete, make_writable
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
 
@@ -112,7 +112,7 @@ def _cost(spec: SweepSpec, out: Path, jobs: int) -> str:
     """Runs and episodes of an experiment, and about how long they take."""
     cells = count(spec)
     size = f"{cells:,} runs of {spec.episodes} episodes"
-    if (out / MANIFEST).exists() and read_manifest(out)["complete"]:
+    if is_complete(out):
         return f"{size}, done"
     each = EPISODE_SECONDS.get(spec.env, max(EPISODE_SECONDS.values()))
     slow = cells / len(spec.algo) if spec.env == "lunarlander" and "gpc-ns" in spec.algo else 0.0

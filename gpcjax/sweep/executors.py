@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -301,9 +302,12 @@ def _end_of(worker: _Worker) -> Exception:
 
 
 def _start(environment: dict[str, str]) -> _Worker:
+    opened = ExitStack()
     try:
-        ours, theirs = Pipe()
+        ours, theirs = map(opened.enter_context, Pipe())
         errors, written = os.pipe()
+        for descriptor in (errors, written):
+            opened.callback(os.close, descriptor)
         process = subprocess.Popen(
             python("gpcjax.sweep.worker", str(theirs.fileno())),
             pass_fds=[theirs.fileno()],
@@ -314,8 +318,10 @@ def _start(environment: dict[str, str]) -> _Worker:
             process_group=0,  # Ctrl-C is for the parent alone, also while a worker is still importing
         )
     except OSError as error:
+        opened.close()
         hint = FEWER if error.errno in (errno.ENOMEM, errno.EAGAIN) else ", give fewer --jobs"
         raise Failure(f"a worker process could not be started: {error.strerror}{hint}") from None
+    opened.pop_all()
     theirs.close()
     os.close(written)
     os.set_blocking(errors, False)

@@ -36,7 +36,8 @@ def held(out: Path) -> Iterator[None]:
         UserError: another process or thread holds it, or no file can be made there.
     """
     folder = Path(os.path.realpath(out))
-    if folder in _held and _held[folder][0] == threading.get_ident():
+    holder = _held.get(folder)
+    if holder is not None and holder[0] == threading.get_ident():
         yield
         return
     try:

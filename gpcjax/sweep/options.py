@@ -24,6 +24,7 @@ from gpcjax.allowed import (
     OneOf,
     converted,
     plain,
+    shown,
     suggestion,
 )
 from gpcjax.envs.registry import default_episodes, default_max_capacity, env_names, expert_names
@@ -172,15 +173,6 @@ def accept(option: Option, value: Any, where: str) -> Any:
     if len(values) > LARGEST:
         raise UserError(f"{where}: more than {LARGEST:,} values, give fewer")
     return _checked(option, values, where)
-
-
-def shown(value: Any) -> str:
-    """`value` as it stands in a message: quoted if text, and never longer than a line should be."""
-    try:
-        text = " ".join(repr(value).split())
-    except (RecursionError, ValueError):  # tables in tables, or an integer of more digits than Python writes
-        text = f"of type {type(value).__name__}"
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _from_word(option: Option, word: str, where: str) -> Any:

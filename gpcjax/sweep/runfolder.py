@@ -145,11 +145,14 @@ def read_manifest(out: Path) -> dict[str, Any]:
                 raise UserError(f"{path}: format {version!r} is not known, {known}")
         case _:
             raise DamagedManifest(path, "this is no manifest of a sweep")
-    # In format 2 a manifest is checked by its sum too once this version has written to it.
-    if (version == FORMAT or "sha256" in manifest) and manifest.get("sha256") != _sum_of(manifest):
-        raise DamagedManifest(path, "it is not as it was written")
-    if manifest["hash"] != hash_of(manifest["specification"]):
-        raise DamagedManifest(path, "its hash is not that of its specification")
+    try:
+        # In format 2 a manifest is checked by its sum too once this version has written to it.
+        if (version == FORMAT or "sha256" in manifest) and manifest.get("sha256") != _sum_of(manifest):
+            raise DamagedManifest(path, "it is not as it was written")
+        if manifest["hash"] != hash_of(manifest["specification"]):
+            raise DamagedManifest(path, "its hash is not that of its specification")
+    except RecursionError:
+        raise DamagedManifest(path, "it is too deep") from None
     for name, kind in _FIELDS.items():
         if not isinstance(manifest.get(name), kind):
             what = f"its {name} is damaged" if name in manifest else f"it has no {name}"
@@ -164,6 +167,14 @@ def read_manifest(out: Path) -> dict[str, Any]:
     ):
         raise DamagedManifest(path, "its baselines are damaged")
     return manifest
+
+
+def is_complete(out: Path) -> bool:
+    """Whether a sweep has come to its end there, by a manifest that is whole."""
+    try:
+        return bool(read_manifest(out)["complete"])
+    except UserError:
+        return False
 
 
 def check_report(out: Path) -> None:

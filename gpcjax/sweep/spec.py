@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gpcjax.allowed import suggestion
+from gpcjax.allowed import shown, suggestion
 from gpcjax.envs.registry import default_episodes, default_max_capacity, expert_names
 from gpcjax.errors import UserError
 from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
-from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, Written, accept, shown
+from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, Written, accept
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ DEEPEST = 16
 the square of the one and a frame of Python's stack for each of the other."""
 
 _TOKENS = re.compile(
-    r"""  "{3} (?: [^\\] | \\. )*? (?: "{3,5} | \Z)  |  '{3} .*? (?: '{3,5} | \Z)  # texts over several lines
-      | " (?: [^"\\\n] | \\[^\n] )* (?: " | $)  |  ' [^'\n]* (?: ' | $)  # and on one
+    r"""  "{3} (?: [^\\] | \\. )*? (?: "{3,5} | \\?\Z)  |  '{3} .*? (?: '{3,5} | \Z)  # texts over several lines
+      | " (?: [^"\\\n] | \\[^\n] )* (?: " | \\?$)  |  ' [^'\n]* (?: ' | $)  # and on one
       | \# [^\n]*
       | (?P<mark> [][{}.,=\n] )""",
     re.VERBOSE | re.DOTALL | re.MULTILINE,

@@ -97,7 +97,10 @@ class Store:
             found.repeated += len(held & stored)
             stored |= held
         for name in orphans(self._out):
-            if is_ours(self._out, name, self._manifest):
+            part = parse_part(name)
+            if part is not None and part.hash and part.hash != self._manifest["hash"]:
+                found.foreign.append(f"{CORRECTIONS}/{name}")
+            elif is_ours(self._out, name, self._manifest):
                 (self._corrections / name).unlink(missing_ok=True)
             else:
                 found.damaged[f"{CORRECTIONS}/{name}"] = "it belongs to no episodes"
