@@ -40,7 +40,7 @@ NAMES = {"cartpole": "Cart-pole", "pendulum": "Pendulum", "lander": "Lunar lande
 
 
 def publish(folder: Path) -> None:
-    """Writes README's blocks, docs/reproduction, docs/cartpole.png and the record of them."""
+    """Writes README's blocks, docs/cartpole.png, the record of them, and docs/reproduction if nothing is missing."""
     results, text = results_of(folder), README.read_text()
     if "cartpole" not in results:
         raise SystemExit(
@@ -49,16 +49,13 @@ def publish(folder: Path) -> None:
     lacking = [name for name in BLOCKS if f"<!-- {name} -->\n" not in text or f"<!-- /{name} -->" not in text]
     if lacking:
         raise SystemExit(f"README.md has no marks for {', '.join(lacking)}")
-    draw(folder, quick=False)
-    PAGES.mkdir(exist_ok=True)
-    shutil.rmtree(PAGES / "figures", ignore_errors=True)
-    shutil.copytree(folder / "figures", PAGES / "figures", ignore=shutil.ignore_patterns("*.pdf", ".*"))
-    for source, target in (
-        ("report.md", "README.md"),
-        ("claims.csv", "claims.csv"),
-        ("claims.md", "claims.md"),
-    ):
-        shutil.copyfile(folder / source, PAGES / target)
+    missing = [name for name in specifications() if name not in results]
+    if missing:
+        print(
+            f"docs/reproduction and README's claims stay: {', '.join(missing)} not run yet", file=sys.stderr
+        )
+    else:
+        _pages(folder)
     picture = curves.learning_curves(results["cartpole"].summary)
     write_atomic(ROOT / "docs" / "cartpole.png", style.image(picture.figure, "png"))
 
@@ -78,12 +75,30 @@ def publish(folder: Path) -> None:
     write_atomic(RECORD, json.dumps(_record(results), indent=1) + "\n")
 
 
-def published_files() -> dict[str, str]:
-    """SHA-256 of everything that is made here, by its path; of README of the text between each pair of marks."""
-    files = [ROOT / "docs" / "cartpole.png", *sorted(path for path in PAGES.rglob("*") if path.is_file())]
+def _pages(folder: Path) -> None:
+    draw(folder, quick=False)
+    PAGES.mkdir(exist_ok=True)
+    shutil.rmtree(PAGES / "figures", ignore_errors=True)
+    shutil.copytree(folder / "figures", PAGES / "figures", ignore=shutil.ignore_patterns("*.pdf", ".*"))
+    for source, target in (
+        ("report.md", "README.md"),
+        ("claims.csv", "claims.csv"),
+        ("claims.md", "claims.md"),
+    ):
+        shutil.copyfile(folder / source, PAGES / target)
+
+
+def published_files(whole: bool) -> dict[str, str]:
+    """SHA-256 of what is made here, by its path; of README of the text between each pair of marks.
+
+    Without a `whole` reproduction docs/reproduction and the claims are not made, and stay as they are.
+    """
+    pages = sorted(path for path in PAGES.rglob("*") if path.is_file()) if whole else []
+    files = [ROOT / "docs" / "cartpole.png", *pages]
     sums = {str(path.relative_to(ROOT)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     for name, block in re.findall(r"<!-- (\w+) -->\n(.*?)<!-- /\1 -->", README.read_text(), re.DOTALL):
-        sums[f"README.md: {name}"] = hashlib.sha256(block.encode()).hexdigest()
+        if whole or name != "claims":
+            sums[f"README.md: {name}"] = hashlib.sha256(block.encode()).hexdigest()
     return sums
 
 
@@ -125,7 +140,7 @@ def _record(results: Mapping[str, Experiment]) -> dict[str, Any]:
         "machines": _distinct(manifest["machine"] for manifest in run.values()),
         "versions": _distinct(manifest["versions"] for manifest in run.values()),
         "drawn": fingerprint(fixed_data()),
-        "files": published_files(),
+        "files": published_files(whole=len(run) == len(now)),
     }
 
 

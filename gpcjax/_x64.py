@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+from jax._src import config
 from jax.core import Tracer
 
 if os.environ.get("JAX_ENABLE_X64", "").lower() in ("0", "f", "false", "n", "no", "off"):
@@ -37,6 +38,18 @@ _OWN = (
     (jax.transfer_guard_host_to_device, "allow"),
     (jax.transfer_guard_device_to_device, "allow"),
     (jax.transfer_guard_device_to_host, "allow"),
+    *(
+        (
+            getattr(config, name),
+            "ignore",
+        )  # checks of new kinds of errors know no custom derivatives, no references
+        for name in (
+            "error_checking_behavior_nan",
+            "error_checking_behavior_divide",
+            "error_checking_behavior_oob",
+        )
+        if hasattr(config, name)
+    ),
 )
 """What is left out changes no number and breaks nothing here, and may be meant for a person's own policy or task."""
 

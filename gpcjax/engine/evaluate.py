@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax._x64 import under_own_settings
@@ -45,8 +46,9 @@ def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
         policy: obs (obs_size,) -> action (action_size,), real numbers, clipped to [-1, 1]. If jax can trace it, all
             starts are simulated together in one compiled program; each call sees what the function refers to now, and
             compiles nothing if only the values of arrays have changed since an earlier one. A function that jax cannot
-            trace (it converts its observation to numpy, or looks at its value), or whose result does not come from
-            jax, is called on the host with a numpy array, at each step once for each start, in their order.
+            trace (it converts its observation to numpy, or looks at its value), whose result does not come from jax,
+            or that is another one when it is traced a second time (it draws numbers, or counts), is called on the host
+            with a numpy array, at each step once for each start, in their order.
         starts: a whole number from 1 to 1,000,000.
 
     Raises:
@@ -206,7 +208,16 @@ def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., An
         return action if shape else obs
 
     try:
-        values, act = lifted(probe, arrays, jax.ShapeDtypeStruct((env.obs_size,), float))
+        example = jax.ShapeDtypeStruct((env.obs_size,), float)
+        values, act = lifted(probe, arrays, example)
+        # A draw of numpy's, or a counter, would be one number for all steps: where it is another the second time.
+        others, _ = lifted(probe, arrays, example)
+        known = [pair for pair in zip(values, others, strict=True) if not isinstance(pair[0], Tracer)]
+        if not all(np.array_equal(one, other) for one, other in known):
+            return None
+        lanes = jax.ShapeDtypeStruct((env.obs_size, 2), float)
+        leaves = jax.tree.leaves(arrays)
+        jax.eval_shape(jax.vmap(lambda obs: act(values, *leaves, obs), in_axes=-1), lanes)
     except (
         Exception
     ):  # whatever it is that a function of numpy meets: on the host it shows whether it is a mistake

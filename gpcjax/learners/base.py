@@ -13,6 +13,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.policies.base import ByIdentity, Controller, Policy, Vector, vector
 
@@ -97,6 +98,7 @@ class Learner(ByIdentity):
 
         It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
         """
+        _check_state(self, state)
         return Policy(self.controller(state))
 
     def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
@@ -227,8 +229,20 @@ def _correct(
     return state, dataclasses.replace(info, status=info.status.max())
 
 
+def _check_state(learner: Learner, state: State) -> None:
+    """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
+    expected = jax.eval_shape(lambda: learner.init())
+    alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
+        getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
+        for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
+    )
+    if not alike:
+        raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+
+
 def _check_precision(learner: Learner, state: State) -> None:
-    """Refuses a state whose numbers were cast, whoever did it. Where a function is traced: a call pays nothing."""
+    """Refuses a state whose numbers were cast, whoever did it, or of another kind."""
+    _check_state(learner, state)
     given, kept = (
         {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
         for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init()))

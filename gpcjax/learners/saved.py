@@ -47,10 +47,8 @@ def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> Non
     if taken:
         raise UserError(f"{taken[0]}: the learner says it itself, leave it out")
     sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
-    if jax.tree.structure(state) != jax.tree.structure(jax.eval_shape(learner.init)):
-        raise UserError(f"state {shown(state)}: give a state of this learner")
     save_controller(
-        path, learner.controller(state), {"learner": type(learner).__name__, **sizes, **provenance}
+        path, learner.policy_of(state).controller, {"learner": type(learner).__name__, **sizes, **provenance}
     )
 
 

@@ -199,11 +199,12 @@ def _json(card: Mapping[str, Any]) -> bytes:
 
     try:
         text = json.dumps(card, indent=2, default=plain, allow_nan=False).encode() + b"\n"
+        json.loads(text, object_pairs_hook=_unique)  # 1 and "1" are one key there: nobody could read it again
     except RecursionError:
         raise UserError("the card is nested too deep: give plainer values") from None
     except ValueError as error:
         raise UserError(
-            f"a value of the card is no JSON value ({first_line(error)}): give finite numbers"
+            f"a value of the card is no JSON value ({first_line(error)}): give finite numbers, and texts as keys"
         ) from None
     if len(text) > LARGEST_CARD:
         raise UserError(f"the card has {len(text):,} bytes: give less, {LARGEST_CARD:,} are allowed")

@@ -16,8 +16,11 @@ read, checked as far as that goes, and continued with parts of format 3.
 """
 
 import hashlib
+import itertools
 import json
+import os
 import re
+import shutil
 import sys
 import tempfile
 import warnings
@@ -74,7 +77,10 @@ class DamagedManifest(UserError):
 
     def __init__(self, path: Path, what: str):
         super().__init__(f"{path}: {what}, {_GIVE} (the same sweep may make a damaged one anew)")
-        self.what = what
+        self.path, self.what = path, what
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path, self.what)
 
 
 class PartName(NamedTuple):
@@ -145,6 +151,8 @@ def read_manifest(out: Path) -> dict[str, Any]:
                 raise UserError(f"{path}: format {version!r} is not known, {known}")
         case _:
             raise DamagedManifest(path, "this is no manifest of a sweep")
+    if not isinstance(manifest["specification"].get("hyperparameters", {}), dict):
+        raise DamagedManifest(path, "its specification is damaged")
     try:
         # In format 2 a manifest is checked by its sum too once this version has written to it.
         if (version == FORMAT or "sha256" in manifest) and manifest.get("sha256") != _sum_of(manifest):
@@ -288,17 +296,28 @@ def set_aside(out: Path, *paths: Path) -> None:
         OSError: it cannot be moved.
     """
     for path in paths:
-        target = out / DAMAGED / path.relative_to(out)
-        target.parent.mkdir(parents=True, exist_ok=True)
+        target = _damaged_folder(out, path.parent.relative_to(out)) / path.name
         free = target
         for number in range(1, 1_000_000):
-            if not free.exists():
+            if not os.path.lexists(free):
                 break
             free = target.with_name(f"{target.name}.{number}")
         try:
-            path.rename(free)
+            shutil.move(path, free)
         except FileNotFoundError:
             continue
+
+
+def _damaged_folder(out: Path, below: Path) -> Path:
+    """Where damaged files of a folder go: below `OUT/damaged`, or beside it where that is a person's own file."""
+    for number in itertools.count():
+        folder = out / (f"{DAMAGED}.{number}" if number else DAMAGED) / below
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return folder
+        except (FileExistsError, NotADirectoryError):
+            continue
+    raise AssertionError("there is always a next number")
 
 
 def _sum_of(manifest: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from gpcjax.sweep.runfolder import (
     DAMAGED,
     EPISODES,
     MANIFEST,
+    UNSEALED,
     Say,
     check_report,
     parse_part,
@@ -98,7 +99,8 @@ class Store:
             stored |= held
         for name in orphans(self._out):
             part = parse_part(name)
-            if part is not None and part.hash and part.hash != self._manifest["hash"]:
+            unsealed = self._manifest["format"] == UNSEALED and not getattr(part, "hash", "")
+            if part is not None and not unsealed and part.hash != self._manifest["hash"]:
                 found.foreign.append(f"{CORRECTIONS}/{name}")
             elif is_ours(self._out, name, self._manifest):
                 (self._corrections / name).unlink(missing_ok=True)
@@ -301,6 +303,10 @@ def _read_some(out: Path) -> Rows:
     rows = read(out)
     if rows.episodes.empty:
         raise UserError(f"{out}: it holds no episodes of its sweep")
+    manifest = rows.manifest
+    lost = manifest["cells"] - len(rows.episodes.drop_duplicates([*IDENTITY, *manifest["varying"]]))
+    if manifest["complete"] and lost > 0:
+        warn(f"{out}: {lost} of its {manifest['cells']} runs are lost, the same sweep computes them again")
     return rows
 
 
