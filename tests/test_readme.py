@@ -22,7 +22,8 @@ def test_python_runs_in_order(tmp_path, monkeypatch):
         exec(compile(block, "README.md", "exec"), names)
     frame = names["frame"]
     assert len(frame) == 2 * 2 * 2
-    assert (tmp_path / "my-policy" / "card.json").exists()
+    for saved in ("policy", "taught"):
+        assert (Path(str(names["folder"])) / saved / "card.json").exists()
 
 
 COMMANDS = [
