@@ -10,6 +10,7 @@ import pytest
 
 from gpcjax import cli
 from gpcjax.errors import UserError
+from gpcjax.reproduce import records
 from gpcjax.reproduce import run as reproduce_module
 from gpcjax.reproduce.parts import PARTS, chosen
 from gpcjax.reproduce.run import reproduce
@@ -19,6 +20,7 @@ from gpcjax.sweep.runfolder import read_manifest
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import make_spec, read_toml
 from gpcjax.sweep.store import read_episodes
+from tests.reproduce.illustrated import illustrations
 from tests.sweep.pretended import rows
 
 SWEPT = tuple(part for part in PARTS if PARTS[part].experiments)
@@ -236,9 +238,12 @@ def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
     path = tmp_path / "out" / "illustrations.npz"
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
     assert called == [("gpcjax.reproduce.illustrations", str(path))]
-    path.touch()
+    path.touch()  # as an interrupted one, or one of another version: no illustrations of ours
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
-    assert len(called) == 1
+    assert len(called) == 2
+    records.write(path, illustrations())
+    reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
+    assert len(called) == 2
     path.unlink()
     monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: 1)
     with pytest.raises(RuntimeError, match="illustrations"):
@@ -248,6 +253,6 @@ def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
 def test_dry_run(sweeps, tmp_path, capsys):
     words = f"reproduce --dry-run --only active,lander --sweeps {sweeps} --out {tmp_path / 'out'} --jobs 3"
     assert cli.main(words.split()) == 0
-    told = f"active, lander: 18 experiments of {sweeps}, in 3 processes, into {tmp_path / 'out'}\n"
+    told = f"active, lander: 18 experiments, in 3 processes, into {tmp_path / 'out'}\n"
     assert capsys.readouterr().out == told
     assert not (tmp_path / "out").exists()
