@@ -19,17 +19,11 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import python, worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.progress import COMPILES_FROM, Work
+from gpcjax.sweep.progress import COMPILES_FROM, JOIN, Work
 from gpcjax.sweep.store import CellRows
 
 BATCH = 16
 """Cells handed out at once, at most."""
-
-JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time.
-
-Where the host simulates, a few are enough: their steps take longer than any compilation.
-"""
 
 LOOK_SECONDS = 0.5
 """Longest time between two reports of progress."""

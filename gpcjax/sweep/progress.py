@@ -13,14 +13,19 @@ from typing import Any, TextIO, cast
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from gpcjax.envs.registry import on_host
+
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
 
 COMPILES_FROM = 0.5
 """Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
 
-DIVISIBLE = 48
-"""A program with so many cells left is one that other workers join (`executors.JOIN`)."""
+JOIN = 48
+"""A program that another worker already runs must have this many cells left to be worth compiling a second time.
+
+Where the host simulates, a few are enough: their steps take longer than any compilation.
+"""
 
 _SECONDS_AN_EPISODE = {
     ("cartpole", "gpc"): 4e-4,
@@ -172,7 +177,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
             heapq.heappush(ends, (now + some, index))
             continue
         fresh = [each for each in free if each not in taken]
-        least = {each: 1 if works[each].env == "lunarlander" else DIVISIBLE for each in free}
+        least = {each: 1 if on_host(works[each].env) else JOIN for each in free}
         cells = {
             each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
             for each, seconds in free.items()
