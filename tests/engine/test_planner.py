@@ -15,7 +15,7 @@ from tests.engine.tasks import EPISODES, Drift, expert, starts
 class Thinker(Planner):
     """The expert of `Drift`, as if it had to think about it."""
 
-    def __call__(self, obs):
+    def plan(self, obs):
         return expert(obs)
 
 
