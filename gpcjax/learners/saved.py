@@ -18,9 +18,9 @@ from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.coach import COACH
-from gpcjax.learners.factory import make_learner
+from gpcjax.learners.descriptions import CAPACITY, ON_FULL
+from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.hyperparameters import CAPACITY, HYPERPARAMETERS, ON_FULL
 from gpcjax.policies.folder import CARD, first_line, read_arrays, read_card, write_folder
 from gpcjax.policies.saved import save_controller
 
@@ -163,7 +163,7 @@ def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "algo": algo,
         **sizes,
-        "policy_nu": checked("policy_nu", card["policy_nu"], float, HYPERPARAMETERS["policy_nu"].allowed),
+        "policy_nu": checked("policy_nu", card["policy_nu"], float, ALLOWED["policy_nu"]),
         "static": checked("static", card["static"], bool, SWITCH),
         "sparsify": checked("sparsify", card["sparsify"], bool, SWITCH),
         "on_full": checked("on_full", card["on_full"], str, OneOf(ON_FULL)),

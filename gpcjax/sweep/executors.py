@@ -14,8 +14,8 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from gpcjax.envs.registry import on_host
 from gpcjax.errors import Failure
+from gpcjax.registry import find
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import python, worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
@@ -201,7 +201,9 @@ class Executors:
         taken = {other.program for other in self._workers}
         free = [key for key, cells in self._programs.items() if cells and key not in taken]
         shared = [
-            key for key, cells in self._programs.items() if len(cells) >= (1 if on_host(key.env) else JOIN)
+            key
+            for key, cells in self._programs.items()
+            if len(cells) >= (1 if find("task", key.env).on_host else JOIN)
         ]
         if not free and not shared:
             return ("stop",)
@@ -219,7 +221,7 @@ class Executors:
         assert worker.program is not None
         cells = self._programs[worker.program]
         share = min(max(1, min(BATCH, len(cells) // (4 * self._jobs))), len(cells))
-        if on_host(worker.program.env):
+        if find("task", worker.program.env).on_host:
             # Runs of minutes: a worker leaves the others their part, even where its first block could take it all.
             share = min(share, -(-self._sizes[worker.program] // self._jobs) - worker.given)
         worker.given += share

@@ -27,9 +27,10 @@ from gpcjax.allowed import (
     shown,
     suggestion,
 )
-from gpcjax.envs.registry import default_episodes, default_max_capacity, env_names, expert_names
+from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS, CAPACITY, HYPERPARAMETERS, ON_FULL
+from gpcjax.learners.descriptions import CAPACITY, ON_FULL
+from gpcjax.registry import Kind, built_in, find
 
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
@@ -74,9 +75,10 @@ class Option:
     default: Any = None
     many: bool = False
     series: bool = False
-    algorithms: tuple[str, ...] = ALGORITHMS
     otherwise: str = ""
     """What holds if nobody gives a value, where that is not one `default`."""
+    names: Kind | None = None
+    """What its values are names of."""
 
     @property
     def flag(self) -> str:
@@ -84,27 +86,34 @@ class Option:
         return "--" + self.name.replace("_", "-")
 
 
-_GP = tuple(name for name in ALGORITHMS if name != "coach")
-_ORACLES = tuple(dict.fromkeys(expert for env in env_names() for expert in expert_names(env)))
+def _by_task(default: Callable[[TaskSpec], object]) -> str:
+    return ", ".join(f"{default(find('task', name))} for {name}" for name in built_in("task"))
 
 
-def _by_env(default: Callable[[str], object]) -> str:
-    return ", ".join(f"{default(env)} for {env}" for env in env_names())
+def _named(kind: Kind) -> Anything:
+    return Anything(f"{', '.join(built_in(kind))} or module:NAME")
+
+
+def option_of(setting: Setting) -> Option:
+    """The option that a learner's or a teacher's setting is in a sweep: numbers, of which a list makes more cells."""
+    symbol = f"{setting.symbol}, " if setting.symbol else ""
+    return Option(setting.name, setting.kind, setting.allowed, f"{symbol}{setting.text}", many=True)
 
 
 EXPERIMENT = (
-    Option("env", str, OneOf(env_names()), "the task"),
-    Option("algo", str, OneOf(ALGORITHMS), "who learns", ALGORITHMS, many=True),
+    Option("env", str, _named("task"), "the task", names="task"),
+    Option("algo", str, _named("learner"), "who learns", built_in("learner"), many=True, names="learner"),
+    Option("teacher", str, _named("teacher"), "who teaches", built_in("teacher")[0], names="teacher"),
     Option("error", float, PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
     Option("seeds", int, COUNT, "how many: seeds 0 to n-1 of everything", 100),
-    Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_env(default_episodes)),
+    Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_task(lambda task: task.episodes)),
     Option(
         "oracle",
         str,
-        OneOf(_ORACLES),
+        Anything("an expert of the task, the folder of a saved policy, or module:function"),
         "whose actions the teacher aims at",
         many=True,
-        otherwise=_by_env(lambda env: expert_names(env)[0]),
+        otherwise=_by_task(lambda task: next(iter(task.experts))),
     ),
     Option("delta", float, NON_NEGATIVE, "the teacher is silent this near to its target", (0.05,), many=True),
     Option("rate", float, PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
@@ -118,21 +127,39 @@ EXPERIMENT = (
     ),
 )
 VARIANTS = (
-    Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True, algorithms=_GP),
-    Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error", algorithms=_GP),
+    Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True),
+    Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error"),
     Option(
         "max_capacity",
         int,
         CAPACITY,
         "points in a dictionary at most",
-        algorithms=_GP,
-        otherwise=_by_env(default_max_capacity),
+        otherwise=_by_task(lambda task: task.max_capacity),
     ),
 )
+"""Of learners with dictionaries."""
+
+
+def settings_of(
+    learners: Iterable[LearnerSpec], teachers: Iterable[TeacherSpec]
+) -> dict[str, tuple[Setting, ...]]:
+    """The settings of these by name, each as those declare it that have it."""
+    found: dict[str, tuple[Setting, ...]] = {}
+    for spec in (*learners, *teachers):
+        for setting in spec.settings:
+            found[setting.name] = (*found.get(setting.name, ()), setting)
+    return found
+
+
 TUNING = tuple(
-    Option(row.name, float, row.allowed, f"{row.symbol}, {row.text}", many=True, algorithms=row.algorithms)
-    for row in HYPERPARAMETERS.values()
+    option_of(settings[0])
+    for settings in settings_of(
+        (find("learner", name) for name in built_in("learner")),
+        (find("teacher", name) for name in built_in("teacher")),
+    ).values()
 )
+"""Of the built-in learners and teachers."""
+
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),
     Option("jobs", int, Numbers(1, 1024, whole=True), "processes at once", otherwise="one for each core"),
@@ -144,6 +171,15 @@ RUNNING = (
     ),
 )
 OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VARIANTS + TUNING + RUNNING}
+
+
+def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
+    """Whether a setting changes anything for a learner with a teacher."""
+    if name in {option.name for option in VARIANTS}:
+        return learner.dictionary
+    mine = {setting.name for setting in learner.settings}
+    theirs = {setting.name for setting in teacher.settings if learner.uncertain or not setting.uncertain}
+    return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
 
 
 def parse(option: Option, text: str, where: str) -> Any:
@@ -195,6 +231,8 @@ def _checked(option: Option, values: list[Any], where: str) -> Any:
         one = None if isinstance(value, Written) and value.lost else converted(option.kind, value)
         if one is None or not option.allowed.admits(one):
             _refuse(option, value, where)
+        if option.names:
+            find(option.names, one, where)
         checked.append(one)
     if option.series:
         return tuple(checked)

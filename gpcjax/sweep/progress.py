@@ -13,7 +13,7 @@ from typing import Any, TextIO, cast
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gpcjax.envs.registry import on_host
+from gpcjax.registry import find
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
@@ -41,6 +41,9 @@ _SECONDS_AN_EPISODE = {
 _SECONDS_TO_COMPILE = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6}
 """Of a worker on one core, from `benchmarks/README.md`: what a program costs of which nothing is known yet. Only their
 ratios matter as soon as one program has been seen, for that tells how fast this machine is."""
+
+_EPISODE_OTHERS, _COMPILE_OTHERS = 1e-3, 5.0
+"""Of what is not in the tables: a guess that holds until it has been seen."""
 
 
 @dataclass
@@ -132,7 +135,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
     begun = [work for work in works if work.steps]
-    usual_compiling = sum(_SECONDS_TO_COMPILE[work.algo] * work.joined for work in begun)
+    usual_compiling = sum(_SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * work.joined for work in begun)
     compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
 
     bound, free, to_compile = {}, {}, {}
@@ -147,13 +150,13 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         )
         of_free = work.steps_free / work.steps_left if work.steps else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = _SECONDS_TO_COMPILE[work.algo] * compiling
+        to_compile[index] = _SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * compiling
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = _SECONDS_TO_COMPILE[work.algo] * compiling
+        compile_left = _SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * compiling
         if stepping or work.steps:  # it joined another; since when is not known
             compile_left /= 2
         else:
@@ -177,7 +180,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
             heapq.heappush(ends, (now + some, index))
             continue
         fresh = [each for each in free if each not in taken]
-        least = {each: 1 if on_host(works[each].env) else JOIN for each in free}
+        least = {each: 1 if find("task", works[each].env).on_host else JOIN for each in free}
         cells = {
             each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
             for each, seconds in free.items()
@@ -196,7 +199,7 @@ def _is_seen(work: Work) -> bool:
 
 
 def _usual(work: Work) -> float:
-    return work.cells * work.episodes * _SECONDS_AN_EPISODE[work.env, work.algo]
+    return work.cells * work.episodes * _SECONDS_AN_EPISODE.get((work.env, work.algo), _EPISODE_OTHERS)
 
 
 @dataclass

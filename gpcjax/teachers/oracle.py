@@ -1,7 +1,7 @@
 """The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -64,6 +64,18 @@ class Oracle(Teacher):
         sign = jnp.where(jnp.abs(gap) > self.delta[None], jnp.sign(gap), 0.0)
         inverted = coins < gamma * self.error[None]
         return jnp.where(coins < gamma, jnp.where(inverted, -sign, sign), 0.0)
+
+
+def synthesised(
+    rate: float, error: float, delta: float, active_gain: float = 0.0, schedule: Sequence[float] | None = None
+) -> Oracle:
+    """The teacher of Alg. 4: `Oracle` with these numbers; a gain of 0 is no active learning."""
+    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    return Oracle(
+        **{name: jnp.asarray(value, float) for name, value in numbers.items()},
+        active=active_gain > 0,
+        schedule=None if schedule is None else jnp.asarray(schedule, float),
+    )
 
 
 class Advisor(ByIdentity):

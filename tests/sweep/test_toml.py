@@ -58,7 +58,7 @@ class TestQuick:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("[quick]\nsedes = 3", "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo"),
+            ('env = "pendulum"\n[quick]\nsedes = 3', "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo"),
             ("[quick]\nseeds = 0", "[quick] seeds 0: give a whole number from 1"),
             ("[quick.quick]\nseeds = 1", "[quick] 'quick' is no setting"),
             ("[quik]\nseeds = 1", "'quik' is no setting"),
@@ -69,7 +69,7 @@ class TestQuick:
         """Whether it is asked for or not."""
         path = file(text)
         with pytest.raises(UserError) as refusal:
-            read_toml(path, quick)
+            make_spec(read_toml(path, quick))
         assert str(refusal.value).startswith(f"{path}: {message}")
 
     def test_what_does_not_fit_together_names_it_too(self, file):
