@@ -5,11 +5,14 @@ list of them. A description is frozen; `make` and the experts are texts "module:
 so that naming what is built in loads nothing that computes.
 """
 
+import inspect
+import numbers
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from gpcjax.allowed import Allowed, Numbers
+from gpcjax.allowed import FINITE, Allowed, Numbers
+from gpcjax.errors import UserError
 
 Make = str | Callable[..., Any]
 """What makes a thing: "module:attribute", or the function or class itself."""
@@ -169,3 +172,40 @@ class TeacherSpec:
 
 
 Spec = TaskSpec | LearnerSpec | TeacherSpec
+
+
+OF_EVERY_SWEEP = frozenset(
+    "env algo teacher error seeds episodes oracle delta rate rate_schedule sparsify on_full max_capacity out jobs "
+    "rate_from".split()
+)
+"""Names of settings that no learner and no teacher can have for its own."""
+
+
+def settings_from(where: str, found: Callable[..., Any], others: tuple[str, ...] = ()) -> tuple[Setting, ...]:
+    """The arguments with a number as their default, but for `others`, of what makes a learner or a teacher.
+
+    Whole numbers are compiled in; all others are data of one program.
+
+    Raises:
+        UserError: one of them has the name of a setting of every sweep; `where` begins the message.
+    """
+    fields = {each.name: each.default for each in getattr(found, "__dataclass_fields__", {}).values()}
+    settings = []
+    for name, parameter in inspect.signature(found).parameters.items():
+        default = fields.get(name, parameter.default)
+        if name in others or not isinstance(default, numbers.Real) or isinstance(default, bool):
+            continue
+        if name in OF_EVERY_SWEEP:
+            raise UserError(f"{where}: its argument {name} is a setting of every sweep, give it another name")
+        whole = isinstance(default, numbers.Integral)
+        settings.append(
+            Setting(
+                name,
+                "",
+                Numbers(whole=True) if whole else FINITE,
+                name.replace("_", " "),
+                default=int(default) if whole else float(default),
+                compiled="value" if whole else "no",
+            )
+        )
+    return tuple(settings)

@@ -56,6 +56,16 @@ def names(kind: Kind) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*_built_in(kind), *_entry_points(kind)]))
 
 
+def learner_names() -> tuple[str, ...]:
+    """The names of the learners that `make_learner` and sweeps know, beside `module:NAME`."""
+    return names("learner")
+
+
+def teacher_names() -> tuple[str, ...]:
+    """The names of the teachers that sweeps know, beside `module:NAME`."""
+    return names("teacher")
+
+
 def find(kind: Kind, name: Any, where: str = "") -> Any:
     """The description that a name stands for. `where` begins the messages, the setting that takes such names if empty.
 

@@ -53,6 +53,8 @@ class EpisodeRows(eqx.Module):
     """Steps at which the coins allowed advice, so that the teacher's chance was worked out."""
     chance_sum: Float[Array, "episodes *lanes"]
     """The chances of advice at those steps, each the mean over the action dimensions."""
+    own: dict[str, Float[Array, "episodes *lanes"]]
+    """What the learner measured at the episode's end (`Learner.measure`)."""
 
 
 class Tally(eqx.Module):
@@ -146,7 +148,7 @@ def coin_window(
 def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int) -> Lane:
     """A lane at the start `env` of its first episode, its learner idle."""
     zero = jnp.zeros((), jnp.int32)
-    state = learner.init()
+    state = learner.init(streams.first_key(seed)) if learner.joint else learner.init()
     rows = jnp.zeros(episodes, jnp.int32)
     return Lane(
         learner=learner,
@@ -174,6 +176,7 @@ def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""
             full=rows,
             asked=rows,
             chance_sum=jnp.zeros(episodes),
+            own=dict.fromkeys(jax.eval_shape(learner.measure, state), jnp.zeros(episodes)),
         ),
         log=CorrectionLog(
             count=zero,

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from gpcjax.engine import streams
 from gpcjax.engine.lanes import LOGGED_CORRECTIONS, WINDOW, CorrectionLog, Lane, Phase, Tally
 from gpcjax.envs.base import State as EnvState
-from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.learners.base import Info, Learner, Moment, Status
 from gpcjax.policies.base import Planner
 
 Expert = Callable[[Float[Array, " obs"]], Float[Array, " action"]]
@@ -62,6 +62,8 @@ def block_coins(block: Lane) -> Float[Array, "action lanes"]:
 
 def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
     """Alg. 2's lines 6 to 14 (Alg. 1's 6 to 13) for the lanes and action dimensions that were given advice."""
+    if block.learner.joint:
+        return _correct_jointly(block, advice)
     size = advice.shape[0]
 
     def body(index: Int[Array, ""], carry: PyTree) -> PyTree:
@@ -90,6 +92,51 @@ def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
     carry = (block.state, block.controller, block.tally, block.log, block.status)
     state, controller, tally, log, status = _each((advice != 0).T.reshape(-1), body, carry)
     return dataclasses.replace(block, state=state, controller=controller, tally=tally, log=log, status=status)
+
+
+def _correct_jointly(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
+    """The same for learners that take all action dimensions at once."""
+
+    def body(lane: Int[Array, ""], carry: PyTree) -> PyTree:
+        states, controllers, tally, log, status = carry
+        learner, given = _take(block.learner, lane, 0), _take(advice, lane, -1)
+        moment = Moment(
+            obs=_take(block.env.obs, lane, -1),
+            action=_take(block.action, lane, -1),
+            episode=block.episode[lane],
+            step=block.env.time[lane],
+        )
+        key = streams.learner_key(block.seed[lane], moment.episode, moment.step)
+        state, info = _opaque(
+            lane,
+            lambda learner, *others: learner._learn(*others),
+            learner,
+            _take(states, lane, 0),
+            moment,
+            given,
+            key,
+        )
+        for dimension in range(given.shape[0]):
+            each = _of_dimension(info, dimension)
+            advised = given[dimension] != 0
+            tally = _count_corrections(tally, lane, each, advised)
+            log = _log(log, lane, each, (moment.episode, moment.step, jnp.int32(dimension)), advised)
+        return (
+            _put(states, lane, state, 0),
+            _put(controllers, lane, learner.controller(state), -1),
+            tally,
+            log,
+            status.at[lane].max(jnp.where(_goes_on(learner, info), jnp.int32(Status.OK), info.status)),
+        )
+
+    carry = (block.state, block.controller, block.tally, block.log, block.status)
+    state, controller, tally, log, status = _each((advice != 0).any(0), body, carry)
+    return dataclasses.replace(block, state=state, controller=controller, tally=tally, log=log, status=status)
+
+
+def _of_dimension(info: Info, dimension: int) -> Info:
+    """Of a correction of all action dimensions, what concerns one."""
+    return jax.tree.map(lambda leaf: leaf[dimension] if leaf.ndim else leaf, info)
 
 
 def all_finite(*values: Float[Array, "_ lanes"]) -> Bool[Array, " lanes"]:
@@ -136,6 +183,7 @@ def _end(
     broken = over & ~stopped & ~finite
     status = jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status)
     points = jax.vmap(lambda learner, state: learner.points(state))(block.learner, block.state)
+    own = jax.vmap(lambda learner, state: learner.measure(state))(block.learner, block.state)
     values = {
         **vars(block.tally),
         # What an episode returned until then is no return of an episode.
@@ -149,6 +197,10 @@ def _end(
         name: jnp.where(here, value[None].astype(getattr(block.rows, name).dtype), getattr(block.rows, name))
         for name, value in values.items()
     }
+    measured = {
+        name: jnp.where(here, jnp.asarray(value, float)[None], block.rows.own[name])
+        for name, value in own.items()
+    }
     tally = jax.tree.map(lambda value: jnp.where(ended, jnp.zeros_like(value), value), block.tally)
 
     episode = jnp.where(stopped | broken, episodes, block.episode + over)
@@ -158,7 +210,15 @@ def _end(
     phase = jnp.where(finished, jnp.int32(Phase.FINISHED), block.phase)
     # A window of the last episode is void: the next round draws another.
     window_start = jnp.where(begins, -WINDOW, block.window_start)
-    return env, tally, dataclasses.replace(block.rows, **written), episode, phase, status, window_start
+    return (
+        env,
+        tally,
+        dataclasses.replace(block.rows, **written, own=measured),
+        episode,
+        phase,
+        status,
+        window_start,
+    )
 
 
 def _targets(block: Lane, expert: Expert) -> Float[Array, "action lanes"]:
@@ -236,8 +296,13 @@ def _goes_on(learner: Learner, info: Info) -> Bool[Array, ""]:
     return (info.status == Status.FULL) & learner.goes_on_when_full
 
 
-def _count_corrections(tally: Tally, lane: Int[Array, ""], info: Info) -> Tally:
+def _count_corrections(
+    tally: Tally, lane: Int[Array, ""], info: Info, advised: Bool[Array, ""] | None = None
+) -> Tally:
+    """One more correction, if it was `advised`; without a value it was."""
     learned = info.status == Status.OK
+    if advised is not None:
+        learned &= advised
     added = {
         "corrections": learned,
         "rate_sum": jnp.where(learned, info.rate, 0.0),
@@ -255,9 +320,12 @@ def _log(
     lane: Int[Array, ""],
     info: Info,
     where: tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]],
+    advised: Bool[Array, ""] | None = None,
 ) -> CorrectionLog:
     # A place behind the last one is dropped.
     position = log.count[lane]
+    if advised is not None:
+        position = jnp.where(advised, position, LOGGED_CORRECTIONS)
     values = jnp.stack([info.rate, info.sigma_policy, info.sigma_human])
     outcome = jnp.stack([info.appended, info.replaced, info.full])
     return CorrectionLog(

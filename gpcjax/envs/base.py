@@ -49,9 +49,9 @@ class Env(ByIdentity):
     """
 
     @property
-    @abc.abstractmethod
     def name(self) -> str:
-        """The name under which results of this task are kept."""
+        """The name that messages have for this task."""
+        return type(self).__name__
 
     @property
     @abc.abstractmethod
@@ -72,6 +72,30 @@ class Env(ByIdentity):
     @abc.abstractmethod
     def step(self, state: State, action: Float[Array, " action"]) -> State:
         """Advance by one step with `action`, each component clipped to [-1, 1]."""
+
+    def begin(self, physics: PyTree[Array], obs: Float[Array, " obs"] | None = None) -> State:
+        """What `reset` gives: an episode that starts at `physics`, which is seen as it is unless `obs` is given."""
+        return begin(physics, physics if obs is None else obs)
+
+    def advance(
+        self,
+        state: State,
+        physics: PyTree[Array],
+        obs: Float[Array, " obs"] | None = None,
+        *,
+        reward: Any,
+        terminated: Any = False,
+    ) -> State:
+        """What `step` gives: a step from `state` to `physics`, truncated after `max_steps`."""
+        time = state.time + 1
+        return State(
+            physics=physics,
+            obs=physics if obs is None else obs,
+            reward=jnp.asarray(reward, float),
+            terminated=jnp.asarray(terminated, bool),
+            truncated=time >= self.max_steps,
+            time=time,
+        )
 
 
 def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:

@@ -12,12 +12,13 @@
 """
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from gpcjax.gp.regression import (
     Appended,
@@ -68,12 +69,12 @@ class GPC(Learner):
     scaling: Float[Array, " obs"]
     constant_rate: Float[Array, ""]
     static_rate: Float[Array, ""] | None
-    obs_size: int = eqx.field(static=True)
-    action_size: int = eqx.field(static=True)
     sparsify: bool = eqx.field(static=True)
     on_full: str = eqx.field(static=True)
     policy_capacity: int = eqx.field(static=True)
     human_capacity: int = eqx.field(static=True)
+
+    joint: ClassVar[bool] = False
 
     def grow(self, state: GPCState) -> GPCState:
         """The same state with twice the room."""
@@ -114,7 +115,8 @@ class GPC(Learner):
     def goes_on_when_full(self) -> bool:
         return self.on_full == "drop"
 
-    def _init(self) -> GPCState:
+    def init(self, key: PRNGKeyArray | None = None) -> GPCState:
+        """The idle policy: its action is 0 everywhere. Nothing is drawn."""
         unscaled = jnp.ones(1)  # the action is not scaled in GPC
         policy = self.policy.init(self.policy_capacity, self.scaling)
         human = self.human.init(self.human_capacity, jnp.concatenate([self.scaling, unscaled]))

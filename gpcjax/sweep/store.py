@@ -7,6 +7,7 @@ What makes a part whole, and one of this sweep, is in `gpcjax.sweep.parts`.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,8 @@ class CellRows(NamedTuple):
     """The measurements of `gpcjax.engine.lanes.EpisodeRows`, [e] each."""
     corrections: dict[str, np.ndarray]
     """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
+    own: Mapping[str, np.ndarray] = MappingProxyType({})
+    """What the learner measures besides, [e] each."""
 
 
 class Store:
@@ -157,6 +160,13 @@ class Store:
             "full": _integers(joined["full"], none),
             "status": pa.array([status for row in rows for status in row.status]),
         }
+        for name in sorted({name for row in rows for name in row.own} - columns.keys()):
+            none_of_it = [np.full(length, np.nan) for length in lengths]
+            values = np.concatenate(
+                [row.own.get(name, none) for row, none in zip(rows, none_of_it, strict=True)]
+            )
+            absent = np.repeat([name not in row.own for row in rows], lengths)
+            columns[name] = pa.array(values, mask=absent)
         return self._table(rows, lengths, columns)
 
     def _correction_table(self, rows: Sequence[CellRows]) -> pa.Table:

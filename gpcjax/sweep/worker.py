@@ -114,12 +114,18 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
     status = [Status.OK.label] * len(began)
     if began.size:
         status[-1] = Status(int(lane.status)).label
-    episodes = {name: np.asarray(value)[began] for name, value in vars(lane.rows).items()}
+    measured = {name: value for name, value in vars(lane.rows).items() if name != "own"}
+    episodes, own = (
+        {name: np.asarray(value)[began] for name, value in values.items()}
+        for values in (measured, lane.rows.own)
+    )
     logged = int(lane.log.count)
     corrections = {
         name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")
     }
-    return CellRows(cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections)
+    return CellRows(
+        cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections, own=own
+    )
 
 
 def baseline(env_name: str, name: str) -> dict[str, float]:

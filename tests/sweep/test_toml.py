@@ -58,7 +58,10 @@ class TestQuick:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ('env = "pendulum"\n[quick]\nsedes = 3', "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo"),
+            (
+                'env = "pendulum"\n[quick]\nsedes = 3',
+                "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo",
+            ),
             ("[quick]\nseeds = 0", "[quick] seeds 0: give a whole number from 1"),
             ("[quick.quick]\nseeds = 1", "[quick] 'quick' is no setting"),
             ("[quik]\nseeds = 1", "'quik' is no setting"),
