@@ -176,7 +176,7 @@ def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""
             full=rows,
             asked=rows,
             chance_sum=jnp.zeros(episodes),
-            own=dict.fromkeys(jax.eval_shape(learner.measure, state), jnp.zeros(episodes)),
+            own=dict.fromkeys(jax.eval_shape(lambda: learner.measure(state)), jnp.zeros(episodes)),
         ),
         log=CorrectionLog(
             count=zero,
