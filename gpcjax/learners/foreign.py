@@ -1,5 +1,6 @@
 """Learners from elsewhere: the description of a class or a function in a person's own module."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,8 @@ def learner_of(name: str, found: Callable[..., Any]) -> LearnerSpec:
         UserError: what it makes is no learner, or it has a setting of every sweep's name.
         ForeignError: it cannot be made.
     """
+    if inspect.isclass(found) and not issubclass(found, Learner):
+        raise UserError(f"algo {name}: {shown(found)} is no learner, give a subclass of gpcjax.Learner")
     settings = settings_from(f"algo {name}", found, others=tuple(_SIZES))
     make = _Maker(name, found)
     make(**_SIZES)

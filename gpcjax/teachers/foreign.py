@@ -23,6 +23,8 @@ def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
         UserError: what it makes is no teacher, or it has a setting of every sweep's name.
         ForeignError: it cannot be made.
     """
+    if inspect.isclass(found) and not issubclass(found, Teacher):
+        raise UserError(f"teacher {name}: {shown(found)} is no teacher, give a subclass of gpcjax.Teacher")
     make = _Maker(name, found)
     settings = settings_from(f"teacher {name}", found, others=(*_OF_A_SWEEP, "schedule"))
     make(**{word: value for word, value in _OF_A_SWEEP.items() if word in make.__signature__.parameters})
