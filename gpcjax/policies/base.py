@@ -114,6 +114,28 @@ def vector(name: str, value: Vector, size: int, taker: str) -> Any:
     return array if array.dtype == np.float64 else array.astype(np.float64)
 
 
+def beyond(action: Any) -> Any:
+    """Whether each entry of an action, traced or not, is a number beyond [-1, 1]: no such action is ever executed.
+
+    What is no number is another matter, and of what follows from it.
+    """
+    size = abs(action)
+    return (size > 1.0) & (size < np.inf)
+
+
+def check_executed(action: Any) -> None:
+    """Refuse an executed action, a checked vector, that is beyond [-1, 1]. One that jax traces passes.
+
+    Raises:
+        UserError: it is.
+    """
+    if not isinstance(action, Tracer) and beyond(np.asarray(action)).any():
+        raise UserError(
+            f"action {shown(np.asarray(action).tolist())}: each entry must be from -1 to 1, "
+            "as it was executed: clip it"
+        )
+
+
 def _real(dtype: Any) -> bool:
     return jnp.issubdtype(dtype, np.floating) or jnp.issubdtype(dtype, np.integer)
 
