@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import STEPS, checked, converted, shown
+from gpcjax.allowed import STEPS, checked, converted, is_no_data, shown
 from gpcjax.errors import UserError
 from gpcjax.policies.base import ByIdentity
 
@@ -89,9 +89,8 @@ def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:
 @under_own_settings
 def parameter(value: Any) -> Scalar:
     """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number."""
-    if converted(float, value) is None and getattr(getattr(value, "dtype", None), "kind", "") not in tuple(
-        "fiu"
-    ):
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if converted(float, value) is None and (kind not in tuple("fiu") or is_no_data(value)):
         raise UserError(f"a physical parameter is {shown(value)}: give a number")
     return jnp.asarray(value, jnp.float64)
 

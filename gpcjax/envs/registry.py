@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from gpcjax.allowed import FINITE, STEPS, checked, shown, suggestion
+from gpcjax.allowed import FINITE, STEPS, checked, is_no_data, shown, suggestion
 from gpcjax.errors import UserError
 
 if TYPE_CHECKING:
@@ -170,7 +170,8 @@ def _parameter(env_name: str, name: str, value: Any) -> Any:
     if name == "max_steps":
         return checked(where, value, int, STEPS)
     kind = getattr(getattr(value, "dtype", None), "kind", "")
-    return value if kind in tuple("fiu") else checked(where, value, float, FINITE)
+    is_array = kind in tuple("fiu") and not is_no_data(value)
+    return value if is_array else checked(where, value, float, FINITE)
 
 
 def _resolve(target: str) -> Any:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gpcjax.allowed import checked_path
+from gpcjax.allowed import checked_path, is_no_data
 from gpcjax.errors import UserError
 
 FORMAT = 2
@@ -191,7 +191,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _json(card: Mapping[str, Any]) -> bytes:
     def plain(value: Any) -> Any:
-        if isinstance(value, np.generic) or (hasattr(value, "tolist") and hasattr(value, "dtype")):
+        is_array = isinstance(value, np.generic) or (hasattr(value, "tolist") and hasattr(value, "dtype"))
+        if is_array and not is_no_data(value):
             return value.tolist()
         raise TypeError(
             f"{type(value).__name__} is no JSON value: give text, numbers, lists or tables of them"
