@@ -151,7 +151,7 @@ def is_no_data(value: object) -> bool:
 def checked_path(where: str, value: object) -> Path:
     """A path, given as text or as a path. Raises UserError, which begins with `where`."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value
-    if not isinstance(text, str) or not text or "\0" in text:
+    if not isinstance(text, str) or not text.strip() or "\0" in text:
         raise UserError(f"{where} {shown(value)}: give a path")
     return Path(text)
 
