@@ -366,13 +366,15 @@ def test_what_kills_leave_is_removed(tmp_path, pretend):
     with contextlib.suppress(KeyboardInterrupt):
         sweep(tmp_path, **SETTINGS)
     (part,) = parts(tmp_path)
-    for name in (".manifest.json", f"episodes/.{part.name}", f"corrections/.{part.name}"):
-        for number in range(3):
-            (tmp_path / f"{name}.{number:012x}.tmp").write_text("half")
+    others = tmp_path / "episodes" / ".rows.0123456789ab.tmp"
+    others.write_text("another program's")
+    for folder, name in ((".", "manifest.json"), ("episodes", part.name), ("corrections", part.name)):
+        for number in range(3):  # of a process that no system has
+            (tmp_path / folder / f".gpcjax-4999999-{number:012x}.{name}.tmp").write_text("half")
     (tmp_path / ".gpcjax.lock").write_text('{"pid": 1}')
     pretend()
     sweep(tmp_path, **SETTINGS)
-    assert not [path for path in tmp_path.rglob(".*")]
+    assert [path for path in tmp_path.rglob(".*")] == [others]
 
 
 @pytest.mark.parametrize(
