@@ -43,7 +43,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
 
     Raises:
         UserError: see `check`.
-        Failure: a worker failed; what was finished is kept.
+        Failure: a worker or the process of the illustrations failed; what was finished is kept.
     """
     experiments = check(sweeps, out, only, quick)
     make_writable(out)
@@ -53,7 +53,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
         console.print(PARTS[part].title, style="bold")
         if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
             console.print("illustrations: computed once, about a minute")
-            _illustrate(out / ILLUSTRATIONS)
+            run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
         for name in PARTS[part].experiments:
             spec = _spec(sweeps / f"{name}.toml", out, quick)
             check_sweep(out / name, spec)
