@@ -19,7 +19,7 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import python, worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.progress import COMPILES_FROM, JOIN, Work
+from gpcjax.sweep.progress import COMPILES_FROM, JOIN, Work, works_of
 from gpcjax.sweep.store import CellRows
 
 BATCH = 16
@@ -117,10 +117,7 @@ class Executors:
         for cell in cells:
             self._programs.setdefault(program_of(cell), deque()).append(cell)
         self._sizes = {program: len(cells) for program, cells in self._programs.items()}
-        self._works = {
-            program: Work(program.env, program.algo, len(cells), program.episodes)
-            for program, cells in self._programs.items()
-        }
+        self._works = works_of(cell for cells in self._programs.values() for cell in cells)
         self._baselines = deque(baselines)
         count = sum(map(len, self._programs.values()))
         self._jobs = max(1, min(jobs, count or 1))
