@@ -15,11 +15,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.report import html
+from gpcjax.report.groups import gather
+from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.run import run, sweep
+from gpcjax.sweep.run import UNKNOWN, run, sweep
 from gpcjax.sweep.runfolder import FORMAT, tell, write_manifest
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store, read_episodes
@@ -329,6 +332,22 @@ class TestManifestMadeAnew:
         sweep(tmp_path, **SETTINGS)
         assert half.calls[0][0] == plan(SPEC)[3:]
         assert f"{tmp_path / 'manifest.json'} is missing: made anew" in capsys.readouterr().err
+
+    def test_the_machine_is_this_one_where_the_parts_say_so(self, tmp_path, half):
+        (tmp_path / "manifest.json").unlink()
+        sweep(tmp_path, **SETTINGS)
+        assert manifest(tmp_path)["machine"] == machine.describe()
+        assert "further_machines" not in manifest(tmp_path)
+
+    def test_and_unknown_where_they_say_another(self, tmp_path, half, monkeypatch):
+        (tmp_path / "manifest.json").unlink()
+        here = machine.describe() | {"cpu_model": "another"}
+        monkeypatch.setattr(machine, "describe", lambda: here)
+        sweep(tmp_path, **SETTINGS)
+        written = manifest(tmp_path)
+        assert written["machine"] == {"processor": UNKNOWN} and written["further_machines"] == [here]
+        page = html.page(summarise(gather(read_episodes(tmp_path), written)), [])
+        assert UNKNOWN in page and "It went on with another machine" in page
 
     def test_not_for_another_sweep(self, tmp_path, half):
         (tmp_path / "manifest.json").unlink()
