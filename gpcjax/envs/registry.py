@@ -100,11 +100,6 @@ def shipped(env_name: str) -> dict[str, str]:
     }
 
 
-def shipped_names(env_name: str) -> tuple[str, ...]:
-    """The folders of the shipped policies that are experts of a task. Raises ValueError for an unknown task."""
-    return tuple(shipped(env_name).values())
-
-
 def default_episodes(env_name: str) -> int:
     """How many episodes a sweep of this task runs. Raises ValueError for an unknown task."""
     return _entry(env_name).episodes
