@@ -4,9 +4,6 @@
 switches jax to float64.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
 __version__ = "0.1.0"
 
 _PUBLIC = {
@@ -46,6 +43,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "load_corrections",
 ]
 
+TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
     from gpcjax.engine.evaluate import evaluate
     from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
@@ -58,8 +56,10 @@ if TYPE_CHECKING:
     from gpcjax.sweep.store import load, load_corrections
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Resolve a public name at its first use (PEP 562)."""
+    from importlib import import_module
+
     if name not in _PUBLIC:
         raise AttributeError(f"module 'gpcjax' has no attribute {name!r}")
     import_module("gpcjax._x64")

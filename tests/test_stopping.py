@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,24 @@ SWALLOWED = """
 LINE = "gpcjax: stopped: out keeps what is finished, the same command goes on from there\n"
 
 
+IMPORTING = """
+import signal, sys
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            try:
+                signal.raise_signal({number})
+            except BaseException:
+                raise ImportError("a library made this of it")
+
+sys.meta_path.insert(0, Interrupts())
+sys.argv = ["gpcjax", "version"]
+from gpcjax.__main__ import main
+raise SystemExit(main())
+"""
+
+
 def start(body, folder, before=(), **options):
     command = [*before, sys.executable, "-c", CHILD.format(body=body.strip())]
     environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)}
@@ -77,6 +96,27 @@ def test_a_signal_is_one_line_and_its_status(tmp_path, name, body):
     assert child.communicate(timeout=60) == ("", LINE)
     assert child.returncode == 128 + number
     assert (tmp_path / "out" / "kept").exists() == (body == SWEEPING)
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("SIGINT", "gpcjax.cli"), ("SIGINT", "tomllib"), ("SIGTERM", "argparse"), ("SIGHUP", "gpcjax.allowed")],
+)
+def test_a_signal_while_modules_are_imported_is_the_same(tmp_path, name, module):
+    number = int(getattr(signal, name))
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING.format(module=module, number=number)],
+        env={"PATH": os.environ["PATH"], "HOME": str(tmp_path), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "gpcjax: stopped\n")
+
+
+def test_what_is_installed_is_the_quiet_one():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert settings["project"]["scripts"] == {"gpcjax": "gpcjax.__main__:main"}
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.02, 0.1, 0.3])

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gpcjax.allowed import STEPS, checked
+from gpcjax.allowed import STEPS, checked, converted, is_no_data, shown
+from gpcjax.errors import UserError
 
 
 class Outcome(NamedTuple):
@@ -85,7 +86,7 @@ class HostEnv:
 
     def simulate(self) -> "Simulation":
         """A simulation of its own; `reset` comes first."""
-        return Simulation(self._make(), self.max_steps)
+        return Simulation(self._make(), self.max_steps, self.obs_size)
 
     def _make(self) -> Any:
         import gymnasium
@@ -102,22 +103,51 @@ class HostEnv:
 class Simulation:
     """One environment of gymnasium: `reset` begins an episode, `step` advances it.
 
-    What happens follows from the seed and the actions alone, whatever was simulated before.
+    What happens follows from the seed and the actions alone, whatever was simulated before. Both raise UserError where
+    the environment gives something else than it declares; the message names its class.
     """
 
-    def __init__(self, env: Any, max_steps: int):
-        self._env, self._max_steps, self._time = env, max_steps, 0
+    def __init__(self, env: Any, max_steps: int, obs_size: int):
+        self._env, self._max_steps, self._time, self._shape = env, max_steps, 0, (obs_size,)
 
     def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
         """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
         self._time = 0
-        return np.asarray(self._env.reset(seed=seed)[0], np.float64)
+        match self._env.reset(seed=seed):
+            case (obs, _):
+                return self._observed("reset", obs)
+            case other:
+                raise self._odd("reset", "result", other, "(obs, info)")
 
     def step(self, action: Float[np.ndarray, " action"]) -> Outcome:
         """One step with an action between the bounds of the task (`HostEnv.scaled`)."""
-        obs, reward, terminated, _, _ = self._env.step(action)
+        given = self._env.step(action)
+        if len(given) != 5:
+            raise self._odd("step", "result", given, "(obs, reward, terminated, truncated, info)")
+        obs, reward, terminated, _, _ = given
         self._time += 1
+        # What an environment should give costs a glance, and a conversion where it is of another form.
+        if type(obs) is not np.ndarray or obs.shape != self._shape or obs.dtype.kind != "f":
+            obs = self._observed("step", obs)
+        if not isinstance(reward, float):
+            number = converted(float, reward)
+            if number is None:
+                raise self._odd("step", "reward", reward, "a real number")
+            reward = number
+        if not isinstance(terminated, bool | np.bool_):
+            raise self._odd("step", "terminated", terminated, "a truth value")
         return Outcome(obs, reward, terminated, self._time >= self._max_steps)
+
+    def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
+        array = np.asarray(obs)
+        if array.shape != self._shape or array.dtype.kind not in "fiu" or is_no_data(obs):
+            raise self._odd(method, "obs", obs, f"real numbers of shape {self._shape}")
+        return array.astype(np.float64, copy=False)
+
+    def _odd(self, method: str, what: str, given: Any, declared: str) -> UserError:
+        dtype = getattr(given, "dtype", None)
+        form = shown(given) if dtype is None else f"{dtype} of shape {np.shape(given)}"
+        return UserError(f"{type(self._env).__name__}.{method}: {what} is {form}, declared is {declared}")
 
 
 def lunar_lander(max_steps: int = 1000) -> HostEnv:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from gpcjax.allowed import FINITE, STEPS, checked, shown, suggestion
+from gpcjax.allowed import FINITE, STEPS, checked, is_no_data, shown, suggestion
 from gpcjax.errors import UserError
 
 if TYPE_CHECKING:
@@ -100,11 +100,6 @@ def shipped(env_name: str) -> dict[str, str]:
     }
 
 
-def shipped_names(env_name: str) -> tuple[str, ...]:
-    """The folders of the shipped policies that are experts of a task. Raises ValueError for an unknown task."""
-    return tuple(shipped(env_name).values())
-
-
 def default_episodes(env_name: str) -> int:
     """How many episodes a sweep of this task runs. Raises ValueError for an unknown task."""
     return _entry(env_name).episodes
@@ -170,7 +165,8 @@ def _parameter(env_name: str, name: str, value: Any) -> Any:
     if name == "max_steps":
         return checked(where, value, int, STEPS)
     kind = getattr(getattr(value, "dtype", None), "kind", "")
-    return value if kind in tuple("fiu") else checked(where, value, float, FINITE)
+    is_array = kind in tuple("fiu") and not is_no_data(value)
+    return value if is_array else checked(where, value, float, FINITE)
 
 
 def _resolve(target: str) -> Any:

@@ -4,7 +4,8 @@ import heapq
 import itertools
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -14,6 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gpcjax.envs.registry import on_host
+from gpcjax.sweep import costs
+from gpcjax.sweep.plan import Cell, Program, program_of
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
@@ -27,21 +30,6 @@ JOIN = 48
 Where the host simulates, a few are enough: their steps take longer than any compilation.
 """
 
-_SECONDS_AN_EPISODE = {
-    ("cartpole", "gpc"): 4e-4,
-    ("cartpole", "gpc-ns"): 8e-4,
-    ("cartpole", "coach"): 1e-4,
-    ("pendulum", "gpc"): 1.2e-4,
-    ("pendulum", "gpc-ns"): 6.3e-4,
-    ("pendulum", "coach"): 3.3e-5,
-    ("lunarlander", "gpc"): 1.3e-2,
-    ("lunarlander", "gpc-ns"): 2.2e-1,
-    ("lunarlander", "coach"): 7e-3,
-}
-_SECONDS_TO_COMPILE = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6}
-"""Of a worker on one core, from `benchmarks/README.md`: what a program costs of which nothing is known yet. Only their
-ratios matter as soon as one program has been seen, for that tells how fast this machine is."""
-
 
 @dataclass
 class Work:
@@ -52,6 +40,8 @@ class Work:
     cells: int
     episodes: int
     """Of each cell."""
+    oracle: str = ""
+    """Whose targets may cost more than a step."""
     begun: int = 0
     """Cells that were handed to workers."""
     finished: int = 0
@@ -118,11 +108,17 @@ class Work:
         return self.steps / (self.steps + self.steps_left) if self.steps else 0.0
 
 
+def works_of(cells: Iterable[Cell]) -> dict[Program, Work]:
+    """The programs of these cells, in their order, with nothing done yet."""
+    counts = Counter(map(program_of, cells))
+    return {key: Work(key.env, key.algo, count, key.episodes, key.oracle) for key, count in counts.items()}
+
+
 def seconds_left(works: Sequence[Work], jobs: int) -> float:
     """Estimated seconds until all programs are done, by `jobs` workers.
 
-    A program that has been seen for a while costs what it did so far, in seconds a step; another one what the table of
-    this module says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
+    A program that has been seen for a while costs what it did so far, in seconds a step; another one what
+    `costs` says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
     they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
     as `executors` hands it out: a program each, and those who have no more join the one with most left.
     """
@@ -132,7 +128,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
     begun = [work for work in works if work.steps]
-    usual_compiling = sum(_SECONDS_TO_COMPILE[work.algo] * work.joined for work in begun)
+    usual_compiling = sum(costs.COMPILING[work.algo] * work.joined for work in begun)
     compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
 
     bound, free, to_compile = {}, {}, {}
@@ -147,13 +143,13 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         )
         of_free = work.steps_free / work.steps_left if work.steps else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = _SECONDS_TO_COMPILE[work.algo] * compiling
+        to_compile[index] = costs.COMPILING[work.algo] * compiling
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = _SECONDS_TO_COMPILE[work.algo] * compiling
+        compile_left = costs.COMPILING[work.algo] * compiling
         if stepping or work.steps:  # it joined another; since when is not known
             compile_left /= 2
         else:
@@ -196,7 +192,7 @@ def _is_seen(work: Work) -> bool:
 
 
 def _usual(work: Work) -> float:
-    return work.cells * work.episodes * _SECONDS_AN_EPISODE[work.env, work.algo]
+    return work.cells * work.episodes * costs.of_episode(work.env, work.algo, work.oracle)
 
 
 @dataclass

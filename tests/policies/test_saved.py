@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.envs.registry import env_names, make_env, shipped_names
+from gpcjax.envs.registry import env_names, make_env, shipped
 from gpcjax.learners.factory import make_learner
 from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.saved import load_card, save_controller, shipped_path
@@ -191,8 +191,8 @@ class TestLoading:
 
 
 def test_the_first_oracle_is_shipped_wherever_a_task_ships_some():
-    shipped = {env: shipped_names(env) for env in env_names()}
-    assert shipped == {
+    names = {env: tuple(shipped(env).values()) for env in env_names()}
+    assert names == {
         "cartpole": ("cartpole", "cartpole-2", "cartpole-3", "cartpole-network"),
         "pendulum": ("pendulum", "pendulum-network"),
         "lunarlander": (),
@@ -200,7 +200,7 @@ def test_the_first_oracle_is_shipped_wherever_a_task_ships_some():
 
 
 @pytest.mark.parametrize(
-    ("task", "name"), [(env, name) for env in env_names() for name in shipped_names(env)]
+    ("task", "name"), [(env, name) for env in env_names() for name in shipped(env).values()]
 )
 def test_a_shipped_oracle_is_a_good_policy(task, name):
     """With a card that says where it comes from."""

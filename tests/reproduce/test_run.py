@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from gpcjax import cli
-from gpcjax.errors import UserError
+from gpcjax.errors import Failure, UserError
 from gpcjax.reproduce import records
 from gpcjax.reproduce import run as reproduce_module
 from gpcjax.reproduce.parts import PARTS, chosen
@@ -231,9 +231,13 @@ def test_parts_are_chosen_in_their_own_order():
     assert chosen("lander, pendulum,lander") == ("pendulum", "lander")
 
 
+def failed(*words):
+    raise Failure("illustrations ended with status 1")
+
+
 def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
     called = []
-    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words) or 0)
+    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words))
     monkeypatch.setattr(reproduce_module, "_drawn", lambda out, quick: (out, {}))
     path = tmp_path / "out" / "illustrations.npz"
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
@@ -245,8 +249,8 @@ def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps):
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
     assert len(called) == 2
     path.unlink()
-    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: 1)
-    with pytest.raises(RuntimeError, match="illustrations"):
+    monkeypatch.setattr(reproduce_module, "run_alone", failed)
+    with pytest.raises(Failure, match="illustrations ended with status 1"):
         reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
 
 
