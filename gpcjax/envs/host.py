@@ -136,7 +136,7 @@ class Simulation:
             reward = number
         if not isinstance(terminated, bool | np.bool_):
             raise self._odd("step", "terminated", terminated, "a truth value")
-        return Outcome(obs, reward, terminated, self._time >= self._max_steps)
+        return Outcome(obs, reward, bool(terminated), self._time >= self._max_steps)
 
     def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
         array = np.asarray(obs)
