@@ -16,8 +16,10 @@ import tests.typechecker  # noqa: F401  (the hook finds it by name)
 
 install_import_hook("gpcjax", "tests.typechecker.check")
 
-# A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
+# A shell's background job ignores Ctrl-C, and nohup a lost connection; so would all that the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The types of this extension warn while it is loaded, which crashes the process where warnings are errors.
 with warnings.catch_warnings():

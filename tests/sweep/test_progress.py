@@ -271,8 +271,8 @@ def test_one_table_says_what_programs_cost():
             usual = costs.of_episode(env, algo, expert_names(env)[0])
             assert usual > 0 and costs.COMPILING[algo] > 0
             for oracle in expert_names(env):
-                assert (costs.of_episode(env, algo, oracle) > 100 * usual) <= (oracle == "mpc")
-    assert costs.of_episode("cartpole", "coach", "mpc") > 1000 * costs.of_episode("cartpole", "coach", "gpc")
+                assert (costs.of_episode(env, algo, oracle) > 4 * usual) == (oracle == "mpc")
+    assert costs.of_episode("cartpole", "coach", "mpc") > 100 * costs.of_episode("cartpole", "coach", "gpc")
     fast, slow = (
         works_of(plan(spec_of(env="cartpole", algo="coach", oracle=oracle, seeds=8)))
         for oracle in ("gpc", "mpc")
@@ -285,4 +285,4 @@ def test_one_table_says_what_programs_cost():
         8,
         30,
     )
-    assert seconds_left(list(slow.values()), 2) > 100 * seconds_left(list(fast.values()), 2)
+    assert seconds_left(list(slow.values()), 2) > 5 * seconds_left(list(fast.values()), 2)
