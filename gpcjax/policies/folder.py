@@ -14,7 +14,9 @@ import json
 import math
 import os
 import shutil
+import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,9 @@ LARGEST_CARD = 2**22
 """Bytes."""
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
+
+LEFT_SECONDS = 0.2
+"""In which other reads end that were under way when one failed: they take milliseconds."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -115,7 +120,7 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
     with _quietly():
         arrays, wrong = _restored(folder, shapes)
         if wrong:
-            # What orbax has left running complains when it is freed: here, and not at some later time.
+            # What orbax has left complains when it is freed: here, and not at some later time.
             gc.collect()
     # Raised where no exception of orbax's is around, which would keep all that alive.
     if wrong:
@@ -125,6 +130,7 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
 
 def _restored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
     """The arrays of a checkpoint, and what is wrong with them."""
+    reads = False
     try:
         with _checkpointer() as checkpointer:
             # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
@@ -136,8 +142,11 @@ def _restored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]
                 name: np.broadcast_to(np.zeros((), value.dtype), value.shape)
                 for name, value in stored.tree.items()
             }
+            reads = True
             arrays = checkpointer.restore(folder.absolute(), empty)
     except Exception as error:  # orbax, tensorstore and the file system each have their own
+        if reads:  # those of other arrays end now, find nobody who waits for them, and complain
+            time.sleep(LEFT_SECONDS)
         return {}, first_line(error)
     return {name: np.asarray(value) for name, value in arrays.items()}, ""
 
@@ -243,17 +252,19 @@ def _to_disk(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Without a word of orbax, absl or asyncio: what is wrong is said by an exception of ours."""
+    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
     import logging
     import warnings
 
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
+    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
+        sys.unraisablehook = hook
         logging.disable(before)
 
 
