@@ -148,6 +148,11 @@ def is_no_data(value: object) -> bool:
     return mask is not None and not callable(mask) and bool(getattr(mask, "any", lambda: False)())
 
 
+def holds_numbers(value: object) -> bool:
+    """Whether it is an array, or a scalar of numpy, of real numbers, also one that jax traces."""
+    return getattr(getattr(value, "dtype", None), "kind", "") in tuple("fiu") and not is_no_data(value)
+
+
 def checked_path(where: str, value: object) -> Path:
     """A path, given as text or as a path. Raises UserError, which begins with `where`."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value

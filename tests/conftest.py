@@ -26,7 +26,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import Box2D  # noqa: F401
 
-# Matrices of tests are small: a second thread of BLAS waits more than it computes. (It comes with scikit-learn.)
+# Matrices of tests are small: a second thread of BLAS waits more than it computes.
 threadpoolctl.threadpool_limits(1, "blas")
 
 jax.config.update("jax_debug_key_reuse", True)

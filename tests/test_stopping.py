@@ -71,25 +71,33 @@ raise SystemExit(main())
 """
 
 
-def start(body, folder, before=(), **options):
-    command = [*before, sys.executable, "-c", CHILD.format(body=body.strip())]
-    environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)}
-    child = subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
-    assert child.stdout.readline() == "ready\n"
-    return child
+@pytest.fixture
+def start():
+    """Starts a process that runs a body and is ready; none outlives its test, whatever becomes of it."""
+    children = []
+
+    def begin(body, folder, before=()):
+        child = subprocess.Popen(
+            [*before, sys.executable, "-c", CHILD.format(body=body.strip())],
+            cwd=folder,
+            env={"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        children.append(child)
+        assert child.stdout.readline() == "ready\n"
+        return child
+
+    yield begin
+    for child in children:
+        with child:  # which closes its pipes and waits for it
+            child.kill()
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("body", [SWEEPING, COMPUTING], ids=["in a sweep", "elsewhere"])
-def test_a_signal_is_one_line_and_its_status(tmp_path, name, body):
+def test_a_signal_is_one_line_and_its_status(start, tmp_path, name, body):
     number = getattr(signal, name)
     child = start(body, tmp_path)
     child.send_signal(number)
@@ -120,7 +128,7 @@ def test_what_is_installed_is_the_quiet_one():
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.02, 0.1, 0.3])
-def test_a_second_one_changes_nothing(tmp_path, pause):
+def test_a_second_one_changes_nothing(start, tmp_path, pause):
     child = start(SWEEPING, tmp_path)
     for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         child.send_signal(number)
@@ -130,13 +138,13 @@ def test_a_second_one_changes_nothing(tmp_path, pause):
     assert (tmp_path / "out" / "kept").exists()
 
 
-def test_what_a_library_makes_of_it_is_still_a_stop(tmp_path):
+def test_what_a_library_makes_of_it_is_still_a_stop(start, tmp_path):
     child = start(SWALLOWED, tmp_path)
     child.send_signal(signal.SIGTERM)
     assert child.communicate(timeout=60) == ("", "gpcjax: stopped\n") and child.returncode == 143
 
 
-def test_what_the_shell_ignores_stays_ignored(tmp_path):
+def test_what_the_shell_ignores_stays_ignored(start, tmp_path):
     """Under nohup, a closed terminal ends nothing."""
     child = start(SWEEPING, tmp_path, before=["sh", "-c", 'trap "" HUP; exec "$@"', "sh"])
     child.send_signal(signal.SIGHUP)

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import STEPS, checked, converted, is_no_data, shown
+from gpcjax.allowed import STEPS, checked, converted, holds_numbers, shown
 from gpcjax.errors import UserError
 from gpcjax.policies.base import ByIdentity
 
@@ -153,8 +153,7 @@ def _form(value: Any) -> str:
 @under_own_settings
 def parameter(value: Any) -> Scalar:
     """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number."""
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    if converted(float, value) is None and (kind not in tuple("fiu") or is_no_data(value)):
+    if converted(float, value) is None and not holds_numbers(value):
         raise UserError(f"a physical parameter is {shown(value)}: give a number")
     return jnp.asarray(value, jnp.float64)
 

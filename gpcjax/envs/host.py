@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gpcjax.allowed import STEPS, checked, converted, is_no_data, shown
+from gpcjax.allowed import STEPS, checked, converted, holds_numbers, is_no_data, shown
 from gpcjax.errors import UserError
 
 
@@ -100,6 +100,10 @@ class HostEnv:
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
 
 
+_TRUTH = (bool, np.bool_)
+"""Types of a truth value."""
+
+
 class Simulation:
     """One environment of gymnasium: `reset` begins an episode, `step` advances it.
 
@@ -134,13 +138,13 @@ class Simulation:
             if number is None:
                 raise self._odd("step", "reward", reward, "a real number")
             reward = number
-        if not isinstance(terminated, bool | np.bool_):
+        if not isinstance(terminated, _TRUTH):
             raise self._odd("step", "terminated", terminated, "a truth value")
         return Outcome(obs, reward, bool(terminated), self._time >= self._max_steps)
 
     def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
         array = np.asarray(obs)
-        if array.shape != self._shape or array.dtype.kind not in "fiu" or is_no_data(obs):
+        if array.shape != self._shape or not holds_numbers(array) or is_no_data(obs):
             raise self._odd(method, "obs", obs, f"real numbers of shape {self._shape}")
         return array.astype(np.float64, copy=False)
 

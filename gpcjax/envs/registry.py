@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from gpcjax.allowed import FINITE, STEPS, checked, is_no_data, shown, suggestion
+from gpcjax.allowed import FINITE, STEPS, checked, holds_numbers, shown, suggestion
 from gpcjax.errors import UserError
 
 if TYPE_CHECKING:
@@ -164,9 +164,7 @@ def _parameter(env_name: str, name: str, value: Any) -> Any:
     where = f"{env_name}: {name}"
     if name == "max_steps":
         return checked(where, value, int, STEPS)
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    is_array = kind in tuple("fiu") and not is_no_data(value)
-    return value if is_array else checked(where, value, float, FINITE)
+    return value if holds_numbers(value) else checked(where, value, float, FINITE)
 
 
 def _resolve(target: str) -> Any:

@@ -1,6 +1,7 @@
 """Runs the experiments of a reproduction, as far as they are not done, and draws what it shows. Loads no jax."""
 
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
-from gpcjax.sweep.plan import plan
+from gpcjax.sweep.plan import count, plan, program_of
 from gpcjax.sweep.progress import seconds_left, works_of
 from gpcjax.sweep.run import run
 from gpcjax.sweep.runfolder import check_sweep, is_complete, make_writable
@@ -98,11 +99,11 @@ def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
 
 def _cost(spec: SweepSpec, out: Path, jobs: int) -> str:
     """Runs and episodes of an experiment, and about how long they take."""
-    cells = plan(spec)
-    size = f"{len(cells):,} runs of {spec.episodes} episodes"
+    size = f"{count(spec):,} runs of {spec.episodes} episodes"
     if is_complete(out):
         return f"{size}, done"
-    seconds = seconds_left(list(works_of(cells).values()), jobs)
+    sizes = Counter(map(program_of, plan(spec)))
+    seconds = seconds_left(list(works_of(sizes).values()), jobs)
     about = f"{max(10, 10 * round(seconds / 10))} s" if seconds < 90 else f"{round(seconds / 60)} min"
     return f"{size}, about {about} where nothing is done yet"
 

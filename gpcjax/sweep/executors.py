@@ -19,7 +19,7 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import python, worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.progress import COMPILES_FROM, JOIN, Work, works_of
+from gpcjax.sweep.progress import COMPILES_FROM, Work, least_to_join, works_of
 from gpcjax.sweep.store import CellRows
 
 BATCH = 16
@@ -117,7 +117,7 @@ class Executors:
         for cell in cells:
             self._programs.setdefault(program_of(cell), deque()).append(cell)
         self._sizes = {program: len(cells) for program, cells in self._programs.items()}
-        self._works = works_of(cell for cells in self._programs.values() for cell in cells)
+        self._works = works_of(self._sizes)
         self._baselines = deque(baselines)
         count = sum(map(len, self._programs.values()))
         self._jobs = max(1, min(jobs, count or 1))
@@ -197,9 +197,7 @@ class Executors:
             return ("baseline", *self._baselines.popleft())
         taken = {other.program for other in self._workers}
         free = [key for key, cells in self._programs.items() if cells and key not in taken]
-        shared = [
-            key for key, cells in self._programs.items() if len(cells) >= (1 if on_host(key.env) else JOIN)
-        ]
+        shared = [key for key, cells in self._programs.items() if len(cells) >= least_to_join(key.env)]
         if not free and not shared:
             return ("stop",)
         # In order, but a worker that must share takes what has most left.

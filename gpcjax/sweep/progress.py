@@ -4,8 +4,7 @@ import heapq
 import itertools
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -16,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gpcjax.envs.registry import on_host
 from gpcjax.sweep import costs
-from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.plan import Program
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
@@ -25,10 +24,7 @@ COMPILES_FROM = 0.5
 """Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
 
 JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time.
-
-Where the host simulates, a few are enough: their steps take longer than any compilation.
-"""
+"""A program that another worker already runs must have this many cells left to be worth compiling a second time."""
 
 
 @dataclass
@@ -108,10 +104,17 @@ class Work:
         return self.steps / (self.steps + self.steps_left) if self.steps else 0.0
 
 
-def works_of(cells: Iterable[Cell]) -> dict[Program, Work]:
-    """The programs of these cells, in their order, with nothing done yet."""
-    counts = Counter(map(program_of, cells))
-    return {key: Work(key.env, key.algo, count, key.episodes, key.oracle) for key, count in counts.items()}
+def works_of(sizes: Mapping[Program, int]) -> dict[Program, Work]:
+    """The programs with so many cells each, in their order, with nothing done yet."""
+    return {key: Work(key.env, key.algo, cells, key.episodes, key.oracle) for key, cells in sizes.items()}
+
+
+def least_to_join(env: str) -> int:
+    """Cells that must be left of a program of this task for a further worker to compile it too.
+
+    Where the host simulates, one is enough: its steps take longer than any compilation.
+    """
+    return 1 if on_host(env) else JOIN
 
 
 def seconds_left(works: Sequence[Work], jobs: int) -> float:
@@ -173,7 +176,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
             heapq.heappush(ends, (now + some, index))
             continue
         fresh = [each for each in free if each not in taken]
-        least = {each: 1 if on_host(works[each].env) else JOIN for each in free}
+        least = {each: least_to_join(works[each].env) for each in free}
         cells = {
             each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
             for each, seconds in free.items()

@@ -2,6 +2,7 @@
 
 import io
 import random
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.learners.hyperparameters import ALGORITHMS
 from gpcjax.sweep import costs
-from gpcjax.sweep.plan import plan
+from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left, works_of
 from gpcjax.sweep.spec import spec_of
 
@@ -274,7 +275,9 @@ def test_one_table_says_what_programs_cost():
                 assert (costs.of_episode(env, algo, oracle) > 4 * usual) == (oracle == "mpc")
     assert costs.of_episode("cartpole", "coach", "mpc") > 100 * costs.of_episode("cartpole", "coach", "gpc")
     fast, slow = (
-        works_of(plan(spec_of(env="cartpole", algo="coach", oracle=oracle, seeds=8)))
+        works_of(
+            Counter(map(program_of, plan(spec_of(env="cartpole", algo="coach", oracle=oracle, seeds=8))))
+        )
         for oracle in ("gpc", "mpc")
     )
     (work,) = slow.values()
