@@ -69,6 +69,10 @@ with_args = $(if $(ARGS),$(WORDS) $1 $$words,$1)
 SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair)))
 REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 
+# A switch is on or off: what else somebody writes may have been meant either way.
+NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
+$(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
+
 .PHONY: help sweep grid report reproduce publish oracles bench test torture lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16

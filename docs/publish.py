@@ -60,7 +60,7 @@ def publish(folder: Path) -> None:
     write_atomic(ROOT / "docs" / "cartpole.png", style.image(picture.figure, "png"))
 
     blocks = {
-        "caption": f"{NAMES['cartpole']}: {picture.caption} The first command below draws it.\n",
+        "caption": f"{picture.caption} The first command below draws it.\n",
         "results": _results(results),
         "claims": (PAGES / "claims.md").read_text(),
     }

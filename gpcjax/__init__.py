@@ -4,9 +4,6 @@
 switches jax to float64.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
 __version__ = "0.1.0"
 
 _PUBLIC = {
@@ -80,6 +77,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "Setting",
 ]
 
+TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
     from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
     from gpcjax.engine.evaluate import evaluate
@@ -101,8 +99,10 @@ if TYPE_CHECKING:
     from gpcjax.teachers.oracle import Oracle
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Resolve a public name at its first use (PEP 562)."""
+    from importlib import import_module
+
     if name not in _PUBLIC:
         raise AttributeError(f"module 'gpcjax' has no attribute {name!r}")
     import_module("gpcjax._x64")

@@ -88,9 +88,12 @@ def converted(kind: type, value: object) -> Any:
     """`value` as exactly `kind` (str, bool, int or float), or None where it is none.
 
     No text for numbers, no fractions or floats for integers, no truth for numbers, no 0 or 1 for switches, no number so
-    small that float64 has not all of its digits. Numpy's scalars, and arrays without axes, are what they hold.
+    small that float64 has not all of its digits. Numpy's scalars, and arrays without axes, are what they hold, if that
+    is data (`is_no_data`).
     """
     given: Any = plain(value)
+    if is_no_data(given):
+        return None
     wanted = {str: str, bool: bool, int: numbers.Integral, float: numbers.Real}[kind]
     if not isinstance(given, wanted) or (isinstance(given, bool) and kind is not bool):
         return None
@@ -114,21 +117,46 @@ def checked(where: str, value: object, kind: type, allowed: Allowed) -> Any:
 
 def checked_series(where: str, value: object, size: int, allowed: Numbers) -> tuple[float, ...]:
     """`size` numbers, from as many or from one for all. Raises UserError, which begins with `where`."""
-    shape = getattr(value, "shape", None)
-    if shape == () or not isinstance(value, Iterable) or isinstance(value, str | bytes | bytearray | Mapping):
-        each = [value] * size
-    else:
-        each = list(itertools.islice(value, size + 1)) if shape is None or len(shape) == 1 else []
+    several = entries(where, value, size + 1)
+    each = [value] * size if several is None else several
     found = tuple(converted(float, one) for one in each)
     if len(found) != size or not all(one is not None and allowed.admits(one) for one in found):
         raise UserError(f"{where} {shown(value)}: give {allowed}, or {size} of them")
     return found
 
 
+def entries(where: str, value: object, most: int) -> list[Any] | None:
+    """The first `most` of several values, in their order; None for one value, a text, a table, an array without axes.
+
+    Raises:
+        UserError: a set, whose order is another in each process; the message begins with `where`.
+    """
+    if isinstance(value, set | frozenset):
+        raise UserError(f"{where} {shown(value)}: a set has no order, give a list")
+    one = isinstance(value, str | bytes | bytearray | Mapping) or getattr(value, "shape", None) == ()
+    return None if one or not isinstance(value, Iterable) else list(itertools.islice(value, most))
+
+
+def is_no_data(value: object) -> bool:
+    """Whether an array or a scalar of numpy holds what is no number, though numpy makes numbers of it.
+
+    Spans of time and dates have a unit that would be dropped; what lies under a mask is what was to be left out.
+    """
+    if getattr(getattr(value, "dtype", None), "kind", "") in ("m", "M"):
+        return True
+    mask = getattr(value, "mask", None)  # a method where pandas made it
+    return mask is not None and not callable(mask) and bool(getattr(mask, "any", lambda: False)())
+
+
+def holds_numbers(value: object) -> bool:
+    """Whether it is an array, or a scalar of numpy, of real numbers, also one that jax traces."""
+    return getattr(getattr(value, "dtype", None), "kind", "") in tuple("fiu") and not is_no_data(value)
+
+
 def checked_path(where: str, value: object) -> Path:
     """A path, given as text or as a path. Raises UserError, which begins with `where`."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value
-    if not isinstance(text, str) or not text or "\0" in text:
+    if not isinstance(text, str) or not text.strip() or "\0" in text:
         raise UserError(f"{where} {shown(value)}: give a path")
     return Path(text)
 
@@ -143,8 +171,8 @@ def shown(value: object) -> str:
 
 
 def plain(value: object) -> object:
-    """What an array without axes holds; any other value as it is, and so one that jax traces."""
-    if getattr(value, "shape", None) != () or not hasattr(value, "item"):
+    """What an array without axes holds; any other value as it is: one that jax traces, and one that is no data."""
+    if getattr(value, "shape", None) != () or not hasattr(value, "item") or is_no_data(value):
         return value
     try:
         return value.item()  # pyright: ignore[reportAttributeAccessIssue]

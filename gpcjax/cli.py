@@ -231,7 +231,8 @@ def _oracles(text: str | None) -> int:
     envs = tuple(dict.fromkeys(parse(OPTIONS["env"], name, "--env") for name in names))
     from gpcjax.sweep.executors import run_alone
 
-    return run_alone("gpcjax.sweep.oracles", *envs)
+    run_alone("gpcjax.sweep.oracles", *envs)
+    return 0
 
 
 def _reproduce(arguments: argparse.Namespace) -> int:

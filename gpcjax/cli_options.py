@@ -126,13 +126,14 @@ _TEXTS = {
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "version": "print the version",
 }
+_ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
     "report": Command(_TEXTS["report"], word="OUT", word_text="the run folder", needed=True),
     "oracles": Command(
         _TEXTS["oracles"],
-        (("", (Flag("--env", f"{OPTIONS['env'].allowed}, comma list (default: each)", "ENV"),)),),
+        (("", (Flag("--env", f"{_ENVS}, comma list (default: each)", "ENV", _ENVS),)),),
     ),
     "reproduce": Command(
         _TEXTS["reproduce"],
@@ -140,15 +141,21 @@ COMMANDS = {
             (
                 "",
                 (
-                    Flag("--only", f"parts ({', '.join(PARTS)}; default all)", "A,B,..."),
+                    Flag("--only", f"parts ({_PARTS}; default all)", "A,B,...", _PARTS),
                     Flag("--quick", "few short runs of each experiment"),
                     Flag(
                         "--out",
                         f"folder of all runs and the report (default {folder(quick=False)})",
                         "OUT",
+                        _FOLDER,
                     ),
-                    Flag("--sweeps", "folder of the TOML files (default: those of the package)", "SWEEPS"),
-                    Flag("--jobs", _help(OPTIONS["jobs"], "reproduce"), "N"),
+                    Flag(
+                        "--sweeps",
+                        "folder of the TOML files (default: those of the package)",
+                        "SWEEPS",
+                        _FOLDER,
+                    ),
+                    Flag("--jobs", _help(OPTIONS["jobs"], "reproduce"), "N", str(OPTIONS["jobs"].allowed)),
                     Flag("--dry-run", "check all, run nothing"),
                 ),
             ),
@@ -263,6 +270,8 @@ def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | 
         elif only_words or not word.startswith("-") or word == "-":
             if not command.word or command.word.lower() in given:
                 raise UserError(f"{shown(word)} is one value too many: see gpcjax {name} --help")
+            if not word.strip():
+                raise UserError(f"{command.word} {shown(word)}: an empty value, give {command.word_text}")
             keep(command.word.lower(), shown(word), word)
         else:
             said, equals, value = word.partition("=")
@@ -279,6 +288,8 @@ def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | 
                 if not left or _is_flag(left[-1]):
                     raise UserError(f"{said} has no value: give {flag.value}")
                 value = left.pop()
+            if not value.strip():
+                raise UserError(f"{said} {shown(value)}: an empty value, give {flag.value}")
             if flag.repeated:
                 several[flag.key].append(value)
             else:

@@ -113,6 +113,35 @@ def test_every_option_is_a_flag(calls):
     )
 
 
+@pytest.mark.parametrize("empty", ["", " "])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["report", "{}"], "OUT {!r}: an empty value, give the run folder"),
+        (["report", "--", "{}"], "OUT {!r}: an empty value, give the run folder"),
+        (["sweep", "{}"], "TOML {!r}: an empty value, give a file"),
+        (["sweep", "--env=cartpole", "--out", "{}"], "--out {!r}: an empty value, give the path of a folder"),
+        (["sweep", "--env={}"], "--env {!r}: an empty value, give cartpole"),
+        (["reproduce", "--sweeps={}"], "--sweeps {!r}: an empty value, give the path of a folder"),
+        (["reproduce", "--out={}"], "--out {!r}: an empty value, give the path of a folder"),
+        (["reproduce", "--only={}"], "--only {!r}: an empty value, give illustrations"),
+        (["reproduce", "--jobs={}"], "--jobs {!r}: an empty value, give a whole number"),
+        (["oracles", "--env={}"], "--env {!r}: an empty value, give cartpole"),
+    ],
+    ids=str,
+)
+def test_an_empty_word_is_no_value(calls, capsys, words, message, empty):
+    assert message.format(empty) in fails(capsys, *(word.format(empty) for word in words))
+    assert not calls.run and not calls.drawn and not os.listdir()
+
+
+def test_a_reproduction_goes_into_no_sweeps_folder(calls, capsys):
+    assert cli.main(["sweep", "--env=cartpole", "--out=one"]) == 0
+    assert "one: this is the run folder of a sweep" in fails(capsys, "reproduce", "--out=one", "--dry-run")
+    Path("one/manifest.json").unlink()
+    assert "one: this is the run folder of a sweep" in fails(capsys, "reproduce", "--out=one", "--dry-run")
+
+
 def test_grid(calls, capsys):
     assert cli.main("grid --env cartpole --policy-length-scale 0.1,0.2".split()) == 0
     assert calls.run[0][0] == spec_of(env="cartpole", algo="gpc", policy_length_scale=[0.1, 0.2])
@@ -233,8 +262,8 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
             "reproduce --only pendulm",
             "--only 'pendulm': give illustrations, pendulum, cartpole, active, oracles",
         ),
-        ("reproduce --only=", "--only '': give illustrations, pendulum"),
-        ("reproduce --only", "--only has no value: give one"),
+        ("reproduce --only=", "--only '': an empty value, give illustrations, pendulum"),
+        ("reproduce --only", "--only has no value: give illustrations, pendulum"),
         ("reproduce --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
         ("reproduce --seeds 3", "'--seeds' is no flag"),
         ("reproduce --sweeps none", "none/fig5_1_pendulum.toml: cannot be read (No such file or directory)"),

@@ -95,6 +95,21 @@ def test_reproduce(folder):
     ]
 
 
+@pytest.mark.parametrize("value", ["no", "yes", "false", "2", "01", "1 0", "1\n1", "-", "$(shell echo 1)"])
+def test_quick_is_one_or_nothing(folder, value):
+    shutil.rmtree(folder / ".venv")
+    done = make(folder, "reproduce", f"QUICK={value}")
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert "give 1, or nothing for all of it" in done.stderr and "QUICK='" in done.stderr
+    assert not (folder / ".venv").exists()
+
+
+def test_quick_of_nothing_is_nothing(folder):
+    for words in (["QUICK="], ["QUICK= "], ["QUICK=0"]):
+        assert make(folder, "reproduce", *words).returncode == 0
+    assert called(folder) == [["-m", "gpcjax", "reproduce"]] * 3
+
+
 PROGRAMS = [
     "$(shell touch bad)",
     "${shell touch bad}",
@@ -137,7 +152,8 @@ def test_no_variable_of_any_target_is_a_program(folder, value):
         ("reproduce", [f"{name}={value}" for name in ("QUICK", "ONLY", "OUT", "JOBS")]),
         ("help", []),
     ):
-        assert make(folder, target, *words).returncode == 0, target
+        # A program is no switch, and refused as a text.
+        assert make(folder, target, *words).returncode == (2 if target == "reproduce" else 0), target
         make(folder, "-e", target, **dict(word.split("=", 1) for word in words))
         make(folder, target, **dict(word.split("=", 1) for word in words))
     (folder / ".venv" / ".ready").unlink()

@@ -12,7 +12,7 @@ from tests.trees import assert_same_bits
 
 
 def things():
-    learner = gpcjax.make_learner("gpc", "cartpole", capacity=8)
+    learner = gpcjax.make_learner("gpc", "cartpole", capacity=16)
     state, info = learner.correct(learner.init(), np.zeros(4), [0.0], [1])
     env = gpcjax.make_env("cartpole", pole_mass=0.3)
     yield from (env, gpcjax.make_env("pendulum"), env.reset(jax.random.key(0)))

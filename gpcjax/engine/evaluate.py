@@ -1,6 +1,7 @@
 """How well a fixed policy does: its return from many starts."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import COUNT, checked, shown
 from gpcjax.engine import streams
 from gpcjax.engine.programs import lifted, program
-from gpcjax.envs.base import Env, State
+from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
 from gpcjax.policies.base import vector
@@ -52,7 +53,8 @@ def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
         starts: a whole number from 1 to 1,000,000.
 
     Raises:
-        ValueError: no task, no function, another number of starts, or actions of another shape or type.
+        ValueError: no task, no function, another number of starts, actions of another shape or type, or a task whose
+            states have other shapes or types than it declares.
     """
     if not isinstance(env, Env | HostEnv):
         raise UserError(f'env {shown(env)}: give a task, such as make_env("cartpole")')
@@ -98,14 +100,14 @@ class _Episodes(eqx.Module):
 
 
 def _begin(env: Env, seeds: Int[Array, " lanes"]) -> _Episodes:
-    state = jax.vmap(lambda seed: env.reset(streams.start_key(seed, 0)), out_axes=-1)(seeds)
+    state = jax.vmap(lambda seed: started(env, streams.start_key(seed, 0)), out_axes=-1)(seeds)
     return _Episodes(state, jnp.zeros(seeds.shape), ~jnp.isfinite(state.obs).all(0))
 
 
 def _advance(env: Env, now: _Episodes, action: Float[Array, "action lanes"]) -> _Episodes:
     """A step of the lanes whose episode is not over and whose action is finite."""
     going, acts = ~now.over, jnp.isfinite(action).all(0)
-    after = jax.vmap(env.step, in_axes=-1, out_axes=-1)(now.state, action)
+    after = jax.vmap(partial(stepped, env), in_axes=-1, out_axes=-1)(now.state, action)
     steps = going & acts
     finite = jnp.isfinite(after.obs).all(0) & jnp.isfinite(after.reward)
     return _Episodes(

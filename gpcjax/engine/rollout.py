@@ -10,6 +10,7 @@ On the largest capacity `grows` is false, and the learner's own `on_full` decide
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 from gpcjax.engine import streams, teaching
 from gpcjax.engine.lanes import WINDOW, Lane, Phase, Tally, coin_window, fresh
 from gpcjax.engine.teaching import Expert
-from gpcjax.envs.base import Env
+from gpcjax.envs.base import Env, started, stepped
 from gpcjax.learners.base import Learner, Status
 from gpcjax.teachers.base import Teacher
 
@@ -50,7 +51,7 @@ class Loop(eqx.Module):
 
     def begin(self, learner: Learner, teacher: Teacher, seed: Any) -> Lane:
         """A lane at its first episode."""
-        start = self.env.reset(streams.start_key(seed, 0))
+        start = started(self.env, streams.start_key(seed, 0))
         return fresh(start, learner, teacher, seed, self.episodes)
 
     def drive(
@@ -150,7 +151,7 @@ class Loop(eqx.Module):
         where: Bool[Array, " lanes"],
     ) -> tuple[PyTree, Tally]:
         """One step of the task, for the lanes `where`."""
-        after = jax.vmap(self.env.step, in_axes=-1, out_axes=-1)(env, action)
+        after = jax.vmap(partial(stepped, self.env), in_axes=-1, out_axes=-1)(env, action)
         env = jax.tree.map(lambda new, old: jnp.where(where, new, old), after, env)
         return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(where, after.reward, 0.0))
 
@@ -164,6 +165,6 @@ class Loop(eqx.Module):
         """The state in which each lane begins this episode."""
 
         def start(seed: Int[Array, ""], episode: Int[Array, ""]) -> PyTree:
-            return self.env.reset(streams.start_key(seed, episode))
+            return started(self.env, streams.start_key(seed, episode))
 
         return jax.vmap(start, out_axes=-1)(block.seed, episode)

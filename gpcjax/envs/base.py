@@ -4,13 +4,14 @@ import abc
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import STEPS, checked, converted, shown
+from gpcjax.allowed import STEPS, checked, converted, holds_numbers, shown
 from gpcjax.errors import UserError
 from gpcjax.policies.base import ByIdentity
 
@@ -110,12 +111,73 @@ def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:
     )
 
 
+def started(env: Env, key: PRNGKeyArray) -> State:
+    """`env.reset(key)`, as far as shapes and types go what `State` says. Consumes `key`; costs nothing once compiled.
+
+    Raises:
+        UserError: it is something else; the message names the class of the task and the field.
+    """
+    return _fitted(env, "reset", env.reset(key))
+
+
+def stepped(env: Env, state: State, action: Float[Array, " action"]) -> State:
+    """`env.step(state, action)`, checked likewise, with physics of the same form as before. Raises UserError."""
+    after = _fitted(env, "step", env.step(state, action))
+    (new, structure), (old, before) = map(jax.tree.flatten, (after.physics, state.physics))
+    fits = structure == before and all(
+        jnp.shape(a) == jnp.shape(b) and (_dtype(a) == _dtype(b) or jnp.result_type(a, b) == _dtype(b))
+        for a, b in zip(new, old, strict=True)
+    )
+    if not fits:
+        forms = (jax.tree.map(_form, each.physics) for each in (after, state))
+        raise UserError(
+            "{}.step: physics becomes {}, it was {}".format(type(env).__name__, *map(shown, forms))
+        )
+    return after
+
+
+def _fitted(env: Env, method: str, state: Any) -> State:
+    """A state as the loops carry it: real numbers as float64, counts as int32, flags as they are."""
+    who = f"{type(env).__name__}.{method}"
+    if not isinstance(state, State):
+        raise UserError(f"{who} gives a {type(state).__name__}, declared is a State (gpcjax.envs.base)")
+    real = (np.floating, np.integer), np.float64
+    declared = {
+        "obs": ((env.obs_size,), "real numbers", *real),
+        "reward": ((), "a real number", *real),
+        "terminated": ((), "a truth value", (np.bool_,), np.bool_),
+        "truncated": ((), "a truth value", (np.bool_,), np.bool_),
+        "time": ((), "a whole number", (np.integer,), np.int32),
+    }
+    fields: dict[str, Any] = {"physics": state.physics}
+    for name, (shape, words, kinds, dtype) in declared.items():
+        value = getattr(state, name)
+        found = _dtype(value)
+        kinds_fit = found is not None and any(jnp.issubdtype(found, kind) for kind in kinds)
+        if not kinds_fit or jnp.shape(value) != shape:
+            raise UserError(f"{who}: {name} is {_form(value)}, declared is {words} of shape {shape}")
+        kept = isinstance(value, jax.Array) and found == dtype
+        fields[name] = value if kept else jnp.asarray(value, dtype)
+    return state if all(fields[name] is getattr(state, name) for name in fields) else State(**fields)
+
+
+def _dtype(value: Any) -> Any:
+    """That of an array or a number; None for anything else."""
+    if isinstance(value, bool | int | float):
+        return jnp.result_type(value)
+    return getattr(value, "dtype", None)
+
+
+def _form(value: Any) -> str:
+    """Type and shape of an array, or what else it is."""
+    dtype = getattr(value, "dtype", None)
+    return shown(value) if dtype is None else f"{dtype} of shape {jnp.shape(value)}"
+
+
 @under_own_settings
 def parameter(value: Any) -> Scalar:
     """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number."""
-    if converted(float, value) is None and getattr(getattr(value, "dtype", None), "kind", "") not in tuple(
-        "fiu"
-    ):
+    if converted(float, value) is None and not holds_numbers(value):
         raise UserError(f"a physical parameter is {shown(value)}: give a number")
     return jnp.asarray(value, jnp.float64)
 

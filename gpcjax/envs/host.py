@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gpcjax.allowed import STEPS, checked
+from gpcjax.allowed import STEPS, checked, converted, holds_numbers, is_no_data, shown
+from gpcjax.errors import UserError
 
 UNLIMITED = 1000
 """Steps of an episode that nothing else ends."""
@@ -95,7 +96,7 @@ class HostEnv:
 
     def simulate(self) -> "Simulation":
         """A simulation of its own; `reset` comes first."""
-        return Simulation(self._make(), self._limit, whole=self.max_steps is None)
+        return Simulation(self._make(), self._limit, self.obs_size, whole=self.max_steps is None)
 
     def _make(self) -> Any:
         import gymnasium
@@ -112,30 +113,64 @@ class HostEnv:
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
 
 
+_TRUTH = (bool, np.bool_)
+"""Types of a truth value."""
+
+
 class Simulation:
     """One environment of gymnasium: `reset` begins an episode, `step` advances it.
 
-    What happens follows from the seed and the actions alone, whatever was simulated before.
+    What happens follows from the seed and the actions alone, whatever was simulated before. Both raise UserError where
+    the environment gives something else than it declares; the message names its class.
     """
 
-    def __init__(self, env: Any, limit: int | None, whole: bool):
-        self._env, self._limit, self._time = env, limit, 0
+    def __init__(self, env: Any, limit: int | None, obs_size: int, whole: bool):
+        self._env, self._limit, self._time, self._shape = env, limit, 0, (obs_size,)
         self._whole = whole
         """Whether its own truncation counts, and its actions are of its own type."""
 
     def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
         """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
         self._time = 0
-        return np.asarray(self._env.reset(seed=seed)[0], np.float64)
+        match self._env.reset(seed=seed):
+            case (obs, _):
+                return self._observed("reset", obs)
+            case other:
+                raise self._odd("reset", "result", other, "(obs, info)")
 
     def step(self, action: Float[np.ndarray, " action"]) -> Outcome:
         """One step with an action between the bounds of the task (`HostEnv.scaled`)."""
         if self._whole:
             action = action.astype(self._env.action_space.dtype)
-        obs, reward, terminated, truncated, _ = self._env.step(action)
+        given = self._env.step(action)
+        if len(given) != 5:
+            raise self._odd("step", "result", given, "(obs, reward, terminated, truncated, info)")
+        obs, reward, terminated, truncated, _ = given
         self._time += 1
+        # What an environment should give costs a glance, and a conversion where it is of another form.
+        if type(obs) is not np.ndarray or obs.shape != self._shape or obs.dtype.kind != "f":
+            obs = self._observed("step", obs)
+        if not isinstance(reward, float):
+            number = converted(float, reward)
+            if number is None:
+                raise self._odd("step", "reward", reward, "a real number")
+            reward = number
+        for name, flag in (("terminated", terminated), ("truncated", truncated)):
+            if not isinstance(flag, _TRUTH):
+                raise self._odd("step", name, flag, "a truth value")
         late = self._limit is not None and self._time >= self._limit
-        return Outcome(obs, reward, terminated, late or (self._whole and truncated))
+        return Outcome(obs, reward, bool(terminated), late or (self._whole and bool(truncated)))
+
+    def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
+        array = np.asarray(obs)
+        if array.shape != self._shape or not holds_numbers(array) or is_no_data(obs):
+            raise self._odd(method, "obs", obs, f"real numbers of shape {self._shape}")
+        return array.astype(np.float64, copy=False)
+
+    def _odd(self, method: str, what: str, given: Any, declared: str) -> UserError:
+        dtype = getattr(given, "dtype", None)
+        form = shown(given) if dtype is None else f"{dtype} of shape {np.shape(given)}"
+        return UserError(f"{type(self._env).__name__}.{method}: {what} is {form}, declared is {declared}")
 
 
 def _is_box(space: Any) -> bool:

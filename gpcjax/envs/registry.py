@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from gpcjax import registry
-from gpcjax.allowed import FINITE, STEPS, checked, shown, suggestion
+from gpcjax.allowed import FINITE, STEPS, checked, holds_numbers, shown, suggestion
 from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 
@@ -133,5 +133,4 @@ def _parameter(env_name: str, name: str, value: Any) -> Any:
     where = f"{env_name}: {name}"
     if name == "max_steps":
         return checked(where, value, int, STEPS)
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    return value if kind in tuple("fiu") else checked(where, value, float, FINITE)
+    return value if holds_numbers(value) else checked(where, value, float, FINITE)

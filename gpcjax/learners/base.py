@@ -15,7 +15,15 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.policies.base import ByIdentity, Controller, Policy, Vector, vector
+from gpcjax.policies.base import (
+    ByIdentity,
+    Controller,
+    Policy,
+    Vector,
+    beyond,
+    check_executed,
+    vector,
+)
 
 State = PyTree
 Change = PyTree
@@ -42,7 +50,8 @@ class Status(enum.IntEnum):
             Status.OK: "every correction was learned",
             Status.FULL: "a dictionary reached its capacity: raise max_capacity (capacity), or choose another on_full",
             Status.NON_FINITE: "a value became infinite or not a number: check the observations and hyperparameters",
-            Status.INVALID: "an advice was none of -1, 0 and 1, and nothing was learned from it: check the teacher",
+            Status.INVALID: "an advice was none of -1, 0 and 1, or an action beyond [-1, 1], and nothing was learned "
+            "from it: check the teacher, and clip what is executed",
         }[self]
 
 
@@ -154,7 +163,7 @@ class Learner(ByIdentity):
         Args:
             state: from `init` or an earlier correction.
             obs: (obs_size,), where the correction was given.
-            action: (action_size,), the action that was executed there.
+            action: (action_size,), the action that was executed there, clipped to [-1, 1] as `act` gives it.
             advice: (action_size,), h: -1 for less, 1 for more, 0 for no advice, which leaves that dimension untouched.
 
         Returns:
@@ -162,19 +171,21 @@ class Learner(ByIdentity):
             correction was not learned in at least one dimension: `Info.rate` is 0 there.
 
         Raises:
-            ValueError: a shape does not fit, there are no real numbers, or advice is none of -1, 0, 1. Where jax traces
-                the advice its value is not known: then nothing is learned, and the status is `Status.INVALID`.
+            ValueError: a shape does not fit, there are no real numbers, advice is none of -1, 0, 1, or the action is
+                beyond [-1, 1]. Where jax traces one of these two its value is not known: then nothing is learned, and
+                the status is `Status.INVALID`. What is not finite is `Status.NON_FINITE`, also in an action.
         """
         advice = self._vector("advice", advice, self.action_size)
         obs = self._vector("obs", obs, self.obs_size)
         action = self._vector("action", action, self.action_size)
-        if isinstance(advice, Tracer):
-            valid = ((advice == -1) | (advice == 0) | (advice == 1)).all()
+        if not isinstance(advice, Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+            raise UserError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
+        check_executed(action)
+        if isinstance(advice, Tracer) or isinstance(action, Tracer):
+            valid = ((advice == -1) | (advice == 0) | (advice == 1)).all() & ~beyond(action).any()
             state, info = _correct(self, state, obs, action, jnp.where(valid, advice, 0.0))
             status = jnp.where(valid, info.status, Status.INVALID).astype(info.status.dtype)
             return state, dataclasses.replace(info, status=status)
-        if not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
-            raise UserError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
         return _correct(self, state, obs, action, advice)
 
     def grow(self, state: State) -> State:

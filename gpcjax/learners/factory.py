@@ -1,7 +1,7 @@
 """Learners by name: the thesis' tables, or the sizes and hyperparameters of a task of one's own."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from gpcjax.allowed import (
     OneOf,
     checked,
     checked_series,
+    entries,
     shown,
     suggestion,
 )
@@ -216,11 +217,10 @@ def make_coach(
         raise UserError(
             "COACH needs its grid: lower, upper and counts, one value for each observation dimension"
         )
-    if not isinstance(counts, Iterable) or isinstance(counts, str | bytes | Mapping):
+    given = entries("counts", counts, obs_size + 1)
+    if given is None or len(given) != obs_size:
         raise UserError(f"counts {shown(counts)}: give {obs_size} numbers of at least 2")
-    counts = tuple(checked("counts", count, int, _NODES) for count in counts)
-    if len(counts) != obs_size:
-        raise UserError(f"counts {shown(counts)}: give {obs_size} numbers of at least 2")
+    counts = tuple(checked("counts", count, int, _NODES) for count in given)
     if math.prod(counts) * action_size > _LARGEST_GRID:
         raise UserError(
             f"counts {shown(counts)}: {math.prod(counts):,} features for each of {action_size} actions, "

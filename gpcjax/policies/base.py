@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from gpcjax._x64 import set_public_methods_under_own_settings
-from gpcjax.allowed import shown
+from gpcjax.allowed import is_no_data, shown
 from gpcjax.errors import UserError
 
 Vector = Any
@@ -104,7 +104,8 @@ def vector(name: str, value: Vector, size: int, taker: str) -> Any:
         size: how long it must be.
 
     Raises:
-        ValueError: another shape, or anything but real numbers (no truth values, no complex numbers, no text).
+        ValueError: another shape, or anything but real numbers (no truth values, no complex numbers, no text, no spans
+            of time, no masked entries).
     """
     array = value if isinstance(value, jax.Array) else _host(value)
     if array is None or not _real(array.dtype):
@@ -114,12 +115,37 @@ def vector(name: str, value: Vector, size: int, taker: str) -> Any:
     return array if array.dtype == np.float64 else array.astype(np.float64)
 
 
+def beyond(action: Any) -> Any:
+    """Whether each entry of an action, traced or not, is a number beyond [-1, 1]: no such action is ever executed.
+
+    What is no number is another matter, and of what follows from it.
+    """
+    size = abs(action)
+    return (size > 1.0) & (size < np.inf)
+
+
+def check_executed(action: Any) -> None:
+    """Refuse an executed action, a checked vector, that is beyond [-1, 1]. One that jax traces passes.
+
+    Raises:
+        UserError: it is.
+    """
+    if not isinstance(action, Tracer) and beyond(np.asarray(action)).any():
+        raise UserError(
+            f"action {shown(np.asarray(action).tolist())}: each entry must be from -1 to 1, "
+            "as it was executed: clip it"
+        )
+
+
 def _real(dtype: Any) -> bool:
-    return jnp.issubdtype(dtype, np.floating) or jnp.issubdtype(dtype, np.integer)
+    # numpy counts spans of time among the integers.
+    return jnp.issubdtype(dtype, np.floating) or (jnp.issubdtype(dtype, np.integer) and dtype.kind != "m")
 
 
 def _host(value: Vector) -> Array | np.ndarray | None:
-    """An array of what is none yet, or None where there is no such array."""
+    """An array of what is none yet, or None where there is no such array of data."""
+    if any(map(is_no_data, value if isinstance(value, list | tuple) else (value,))):
+        return None
     if isinstance(value, list | tuple) and any(isinstance(each, Tracer) for each in value):
         try:
             return jnp.stack(value)

@@ -8,19 +8,22 @@ No file runs code when it is read, and none can make its reader take more memory
 """
 
 import contextlib
+import gc
 import hashlib
 import json
 import math
 import os
 import shutil
+import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gpcjax.allowed import checked_path
+from gpcjax.allowed import checked_path, is_no_data
 from gpcjax.errors import UserError
 
 FORMAT = 2
@@ -31,6 +34,9 @@ LARGEST_CARD = 2**22
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
 
+LEFT_SECONDS = 0.2
+"""In which other reads end that were under way when one failed: they take milliseconds."""
+
 Shapes = Mapping[str, tuple[int, ...]]
 
 
@@ -39,7 +45,7 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
 
     Raises:
         FileExistsError: there is something at `path`.
-        ValueError: a value of the card is not finite, or too large.
+        ValueError: a value of the card is not finite, or too large, or nothing can be written at `path`.
         TypeError: a value of the card that JSON does not know.
     """
     path = checked_path("path", path)
@@ -47,20 +53,25 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         raise FileExistsError(f"{path} exists: choose another path, or remove it first")
     shapes = {name: list(value.shape) for name, value in arrays.items()}
     text = _json({"format": FORMAT, **card, "arrays": shapes})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
     try:
-        with _checkpointer() as checkpointer:
-            checkpointer.save((scratch / ARRAYS).absolute(), dict(arrays))
-        (scratch / CARD).write_bytes(text)
-        sums = "".join(f"{_sum(scratch / name)}  {name}\n" for name in _names(scratch))
-        (scratch / SUMS).write_text(sums, encoding="ascii")
-        scratch.chmod(0o755)
-        _to_disk(scratch)
-        os.replace(scratch, path)
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        try:
+            with _quietly(), _checkpointer() as checkpointer:
+                checkpointer.save((scratch / ARRAYS).absolute(), dict(arrays))
+            (scratch / CARD).write_bytes(text)
+            sums = "".join(f"{_sum(scratch / name)}  {name}\n" for name in _names(scratch))
+            (scratch / SUMS).write_text(sums, encoding="ascii")
+            scratch.chmod(0o755)
+            _to_disk(scratch)
+            os.replace(scratch, path)
+        except BaseException:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise UserError(
+            f"{path}: it cannot be written there ({error.strerror or first_line(error)}), give another path"
+        ) from None
 
 
 def read_card(path: Any, what: str) -> dict[str, Any]:
@@ -106,21 +117,38 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
     """
     folder = checked_path("path", path) / ARRAYS
     shapes = _shapes(card, folder.parent / CARD, what)
+    with _quietly():
+        arrays, wrong = _restored(folder, shapes)
+        if wrong:
+            # What orbax has left complains when it is freed: here, and not at some later time.
+            gc.collect()
+    # Raised where no exception of orbax's is around, which would keep all that alive.
+    if wrong:
+        raise UserError(f"{folder}: the arrays of this {what} cannot be read ({wrong})")
+    return arrays
+
+
+def _restored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
+    """The arrays of a checkpoint, and what is wrong with them."""
+    reads = False
     try:
-        with _quietly(), _checkpointer() as checkpointer:
+        with _checkpointer() as checkpointer:
             # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
             stored = checkpointer.metadata(folder.absolute()).item_metadata
             found = {name: tuple(value.shape) for name, value in dict(stored.tree).items()}
             if found != shapes:
-                raise UserError(f"the card names arrays of shapes {shapes}, these have {found}"[:300])
+                return {}, f"the card names arrays of shapes {shapes}, these have {found}"[:200]
             empty = {
                 name: np.broadcast_to(np.zeros((), value.dtype), value.shape)
                 for name, value in stored.tree.items()
             }
+            reads = True
             arrays = checkpointer.restore(folder.absolute(), empty)
     except Exception as error:  # orbax, tensorstore and the file system each have their own
-        raise UserError(f"{folder}: the arrays of this {what} cannot be read ({first_line(error)})") from None
-    return {name: np.asarray(value) for name, value in arrays.items()}
+        if reads:  # those of other arrays end now, find nobody who waits for them, and complain
+            time.sleep(LEFT_SECONDS)
+        return {}, first_line(error)
+    return {name: np.asarray(value) for name, value in arrays.items()}, ""
 
 
 def first_line(error: BaseException) -> str:
@@ -191,7 +219,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _json(card: Mapping[str, Any]) -> bytes:
     def plain(value: Any) -> Any:
-        if isinstance(value, np.generic) or (hasattr(value, "tolist") and hasattr(value, "dtype")):
+        is_array = isinstance(value, np.generic) or (hasattr(value, "tolist") and hasattr(value, "dtype"))
+        if is_array and not is_no_data(value):
             return value.tolist()
         raise TypeError(
             f"{type(value).__name__} is no JSON value: give text, numbers, lists or tables of them"
@@ -223,17 +252,19 @@ def _to_disk(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Without orbax's warnings on what it reads: what is wrong is said by an exception of ours."""
+    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
     import logging
     import warnings
 
     before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
+    logging.disable(logging.CRITICAL)
+    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
+        sys.unraisablehook = hook
         logging.disable(before)
 
 

@@ -21,7 +21,7 @@ from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.regression import GaussianProcess, Posterior
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.presets import PRESETS
+from gpcjax.registry import find
 from gpcjax.reproduce.probing import angles_of, as_gpc, idle_state, look, parameters_of, sigmas, taught
 from gpcjax.reproduce.records import (
     Erroneous,
@@ -229,7 +229,7 @@ def erroneous(advices: int = 16, wrong: int = 3, target: float = 1.0, tolerance:
         length_scales=np.array([SHORT, LONG]),
         wrong=np.array(wrong),
         thesis_length_scales=np.array(
-            [PRESETS[algo]["cartpole"]["human_length_scale"] for algo in algorithms]
+            [find("task", "cartpole").presets[algo]["human_length_scale"] for algo in algorithms]
         ),
         scanned_length_scales=np.array(scanned),
         scanned_wrong=np.array(wrongs),

@@ -1,12 +1,13 @@
 """What a reproduction consists of: parts that can be run alone, each a few experiments. Loads no jax, no numpy."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from gpcjax.allowed import suggestion
 from gpcjax.errors import UserError
-from gpcjax.sweep.runfolder import check_sweep
+from gpcjax.sweep.runfolder import EPISODES, MANIFEST, check_sweep
 from gpcjax.sweep.spec import make_spec, read_toml
 
 SWEEPS = Path(__file__).parent / "sweeps"
@@ -126,10 +127,13 @@ def check(sweeps: Path, out: Path, only: Sequence[str], quick: bool) -> int:
     """Says what is wrong before anything runs; gives the number of experiments.
 
     Raises:
-        UserError: a file of an experiment that is missing or wrong, or a run folder that holds something else.
+        UserError: a file of an experiment that is missing or wrong, a run folder that holds something else, or an `out`
+            that is a run folder itself.
     """
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: this is no folder, give a new one (--out)")
+    if any(os.path.lexists(out / name) for name in (MANIFEST, EPISODES)):
+        raise UserError(f"{out}: this is the run folder of a sweep, give a folder for all of them (--out)")
     names = [name for part in only for name in PARTS[part].experiments]
     for name in names:
         given = read_toml(sweeps / f"{name}.toml", quick)

@@ -1,12 +1,12 @@
 """Runs the experiments of a reproduction, as far as they are not done, and draws what it shows. Loads no jax."""
 
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
-from gpcjax.errors import Failure
 from gpcjax.report import style
 from gpcjax.report.html import Picture
 from gpcjax.report.style import Drawing
@@ -19,7 +19,8 @@ from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
-from gpcjax.sweep.plan import count
+from gpcjax.sweep.plan import count, plan, program_of
+from gpcjax.sweep.progress import seconds_left, works_of
 from gpcjax.sweep.run import run
 from gpcjax.sweep.runfolder import check_sweep, is_complete, make_writable
 from gpcjax.sweep.schedule import offered_rates
@@ -43,7 +44,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
 
     Raises:
         UserError: see `check`.
-        Failure: a worker failed; what was finished is kept.
+        Failure: a worker or the process of the illustrations failed; what was finished is kept.
     """
     experiments = check(sweeps, out, only, quick)
     make_writable(out)
@@ -53,7 +54,7 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
         console.print(PARTS[part].title, style="bold")
         if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
             console.print("illustrations: computed once, about a minute")
-            _illustrate(out / ILLUSTRATIONS)
+            run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
         for name in PARTS[part].experiments:
             spec = _spec(sweeps / f"{name}.toml", out, quick)
             check_sweep(out / name, spec)
@@ -96,28 +97,13 @@ def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
     return report, tested
 
 
-def _illustrate(path: Path) -> None:
-    if run_alone("gpcjax.reproduce.illustrations", str(path)):
-        raise Failure("the illustrations could not be computed")
-
-
-EPISODE_SECONDS = {"cartpole": 0.003, "pendulum": 0.002, "lunarlander": 0.01}
-LANDER_NS_SECONDS = 0.24
-COMPILING_SECONDS = 8.0
-"""About what an episode takes of one core (two cores of an AMD EPYC; GPC-NS on the lander apart), and what an
-experiment takes until its programs are there: for a guess of minutes, no more."""
-
-
 def _cost(spec: SweepSpec, out: Path, jobs: int) -> str:
     """Runs and episodes of an experiment, and about how long they take."""
-    cells = count(spec)
-    size = f"{cells:,} runs of {spec.episodes} episodes"
+    size = f"{count(spec):,} runs of {spec.episodes} episodes"
     if is_complete(out):
         return f"{size}, done"
-    each = EPISODE_SECONDS.get(spec.env, max(EPISODE_SECONDS.values()))
-    slow = cells / len(spec.algo) if spec.env == "lunarlander" and "gpc-ns" in spec.algo else 0.0
-    work = spec.episodes * (each * (cells - slow) + LANDER_NS_SECONDS * slow)
-    seconds = COMPILING_SECONDS + work / jobs
+    sizes = Counter(map(program_of, plan(spec)))
+    seconds = seconds_left(list(works_of(sizes).values()), jobs)
     about = f"{max(10, 10 * round(seconds / 10))} s" if seconds < 90 else f"{round(seconds / 60)} min"
     return f"{size}, about {about} where nothing is done yet"
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-_TEMPORARY = re.compile(r"\.(?P<target>.+)\.[0-9a-f]{12}\.tmp")
-"""What `atomic_path` calls its files until they are whole."""
+_TEMPORARY = re.compile(r"\.gpcjax-(?P<pid>[0-9]{1,10})-[0-9a-f]{12}\.(?P<target>.+)\.tmp")
+"""What `atomic_path` calls its files until they are whole: other programs' are called otherwise, and stay."""
 
 OLD_SECONDS = 3600.0
 """No file takes so long to write: one this old was left by a process that was killed."""
@@ -25,7 +25,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         FileNotFoundError: the block wrote nothing there.
         OSError: the folder is missing or cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.tmp")
+    temporary = path.with_name(f".gpcjax-{os.getpid()}-{uuid.uuid4().hex[:12]}.{path.name}.tmp")
     try:
         yield temporary
         _flush(temporary)
@@ -55,21 +55,35 @@ def clean(folder: Path, ours: Callable[[str], bool]) -> None:
     """Remove the temporary files that killed processes have left in `folder`; a folder that is missing has none.
 
     Those whose target is `ours` go at once: the caller is the one process that writes such files. Others may be in the
-    making (a report needs no lock), and go when they are `OLD_SECONDS` old. What cannot be removed stays.
+    making (a report needs no lock), and go when they are `OLD_SECONDS` old. What names another process that runs on
+    this machine stays, and so does what cannot be removed.
     """
     try:
         names = os.listdir(folder)
     except OSError:
         return
     for name in names:
-        target, path = target_of(name), folder / name
-        if target is None:
+        match, path = _TEMPORARY.fullmatch(name), folder / name
+        if match is None or _runs(int(match["pid"])):
             continue
         try:
-            if ours(target) or time.time() - path.lstat().st_mtime > OLD_SECONDS:
+            if ours(match["target"]) or time.time() - path.lstat().st_mtime > OLD_SECONDS:
                 path.unlink(missing_ok=True)
         except OSError:
             continue
+
+
+def _runs(pid: int) -> bool:
+    """Whether there is another process of this number here."""
+    if pid == os.getpid():  # in a container every run may have the same
+        return False
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True
 
 
 def _flush(path: Path) -> None:

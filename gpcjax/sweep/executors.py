@@ -19,7 +19,7 @@ from gpcjax.registry import find
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import python, worker_environment
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.progress import COMPILES_FROM, JOIN, Work
+from gpcjax.sweep.progress import COMPILES_FROM, Work, least_to_join, works_of
 from gpcjax.sweep.store import CellRows
 
 BATCH = 16
@@ -117,10 +117,7 @@ class Executors:
         for cell in cells:
             self._programs.setdefault(program_of(cell), deque()).append(cell)
         self._sizes = {program: len(cells) for program, cells in self._programs.items()}
-        self._works = {
-            program: Work(program.env, program.algo, len(cells), program.episodes)
-            for program, cells in self._programs.items()
-        }
+        self._works = works_of(self._sizes)
         self._baselines = deque(baselines)
         count = sum(map(len, self._programs.values()))
         self._jobs = max(1, min(jobs, count or 1))
@@ -200,11 +197,7 @@ class Executors:
             return ("baseline", *self._baselines.popleft())
         taken = {other.program for other in self._workers}
         free = [key for key, cells in self._programs.items() if cells and key not in taken]
-        shared = [
-            key
-            for key, cells in self._programs.items()
-            if len(cells) >= (1 if find("task", key.env).on_host else JOIN)
-        ]
+        shared = [key for key, cells in self._programs.items() if len(cells) >= least_to_join(key.env)]
         if not free and not shared:
             return ("stop",)
         # In order, but a worker that must share takes what has most left.
@@ -258,9 +251,39 @@ class Executors:
         )
 
 
-def run_alone(module: str, *words: str) -> int:
-    """`python -m module words` on one thread, as workers compute; gives its exit status."""
-    return subprocess.run(python(module, *words), env=worker_environment(), check=False).returncode
+def run_alone(module: str, *words: str) -> None:
+    """`python -m module words` on one thread, as workers compute. What it prints is shown, what it complains is not.
+
+    Like a worker it hears no Ctrl-C, which is for the parent alone, and never outlives this call.
+
+    Raises:
+        Failure: it could not be started, was killed or failed; the message has its reason.
+    """
+    try:
+        process = subprocess.Popen(
+            python(module, *words),
+            env=worker_environment(),
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            process_group=0,
+        )
+    except OSError as error:
+        raise _not_started(error) from None
+    assert process.stderr is not None
+    said = b""
+    try:
+        while written := os.read(process.stderr.fileno(), 1 << 16):
+            said = (said + written)[-LAST_WORDS:]
+        status = process.wait()
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+    if status:
+        _await_signal(status)
+        text = said.decode(errors="replace")
+        fault = "Traceback" in text and not NO_MEMORY.search(text) and "[Errno " not in text.splitlines()[-1]
+        raise Failure(f"{module.rpartition('.')[2]} {reason(status, text)}", text if fault else "")
 
 
 def reason(status: int, last_words: str) -> str:
@@ -291,10 +314,24 @@ def _end_of(worker: _Worker) -> Exception:
         before = worker.last_words
         if not worker.listen() or worker.last_words == before:
             break
-    if status in ASKED_TO_STOP:  # a signal to all processes of ours, which is on its way to this one as well
+    _await_signal(status)
+    return Failure(f"a worker process {reason(status, worker.last_words.decode(errors='replace'))}")
+
+
+def _await_signal(status: int) -> None:
+    """If one asked a process of ours to stop: sent to all of them, it is on its way to this one as well.
+
+    Raises:
+        Stopped: it has come in.
+    """
+    if status in ASKED_TO_STOP:
         time.sleep(0.2)
         stopping.check()
-    return Failure(f"a worker process {reason(status, worker.last_words.decode(errors='replace'))}")
+
+
+def _not_started(error: OSError) -> Failure:
+    hint = FEWER if error.errno in (errno.ENOMEM, errno.EAGAIN) else ", give fewer --jobs"
+    return Failure(f"a worker process could not be started: {error.strerror}{hint}")
 
 
 def _start(environment: dict[str, str]) -> _Worker:
@@ -315,8 +352,7 @@ def _start(environment: dict[str, str]) -> _Worker:
         )
     except OSError as error:
         opened.close()
-        hint = FEWER if error.errno in (errno.ENOMEM, errno.EAGAIN) else ", give fewer --jobs"
-        raise Failure(f"a worker process could not be started: {error.strerror}{hint}") from None
+        raise _not_started(error) from None
     opened.pop_all()
     theirs.close()
     os.close(written)

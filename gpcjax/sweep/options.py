@@ -4,12 +4,11 @@
 tuple without repeats where a list is possible), or raise a `UserError` that begins with where the value stood.
 """
 
-import itertools
 import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -23,6 +22,7 @@ from gpcjax.allowed import (
     Numbers,
     OneOf,
     converted,
+    entries,
     plain,
     shown,
     suggestion,
@@ -197,12 +197,8 @@ def accept(option: Option, value: Any, where: str) -> Any:
     value = plain(value)
     if option.kind is str and isinstance(value, str):
         return parse(option, value, where)
-    lists = option.many or option.series
-    if not lists or isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-        return _checked(option, [value], where)
-    try:
-        values = list(itertools.islice(value, LARGEST + 1))
-    except TypeError:  # an array without axes says that it can be iterated
+    values = entries(where, value, LARGEST + 1) if option.many or option.series else None
+    if values is None:
         return _checked(option, [value], where)
     if not values:
         raise UserError(f"{where} []: the list is empty, give {option.allowed}")

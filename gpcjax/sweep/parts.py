@@ -157,17 +157,19 @@ def whole_parts(
     ]
 
 
-def versions_of(out: Path, hash_: str) -> dict[str, str] | None:
-    """The versions that made the first whole part of the sweep with this hash; None if there is none.
+def origins_of(out: Path, hash_: str) -> list[Origin]:
+    """What the whole parts of the sweep with this hash say that they come from, in the order of their names.
 
     Raises:
         UserError: a file cannot be read, whatever it holds.
     """
+    found = []
     for name in _names(out / EPISODES):
         with contextlib.suppress(_Damage):
             if opened := _opened(out, name, hash_):
-                return opened[0]["versions"]
-    return None
+                seal = opened[0]
+                found.append(Origin(hash_, seal["versions"], str(seal.get("machine", ""))))
+    return found
 
 
 def orphans(out: Path) -> list[str]:

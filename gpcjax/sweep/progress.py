@@ -4,7 +4,7 @@ import heapq
 import itertools
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gpcjax.registry import find
+from gpcjax.sweep import costs
+from gpcjax.sweep.plan import Program
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
@@ -22,28 +24,7 @@ COMPILES_FROM = 0.5
 """Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
 
 JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time.
-
-Where the host simulates, a few are enough: their steps take longer than any compilation.
-"""
-
-_SECONDS_AN_EPISODE = {
-    ("cartpole", "gpc"): 4e-4,
-    ("cartpole", "gpc-ns"): 8e-4,
-    ("cartpole", "coach"): 1e-4,
-    ("pendulum", "gpc"): 1.2e-4,
-    ("pendulum", "gpc-ns"): 6.3e-4,
-    ("pendulum", "coach"): 3.3e-5,
-    ("lunarlander", "gpc"): 1.3e-2,
-    ("lunarlander", "gpc-ns"): 2.2e-1,
-    ("lunarlander", "coach"): 7e-3,
-}
-_SECONDS_TO_COMPILE = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6}
-"""Of a worker on one core, from `benchmarks/README.md`: what a program costs of which nothing is known yet. Only their
-ratios matter as soon as one program has been seen, for that tells how fast this machine is."""
-
-_EPISODE_OTHERS, _COMPILE_OTHERS = 1e-3, 5.0
-"""Of what is not in the tables: a guess that holds until it has been seen."""
+"""A program that another worker already runs must have this many cells left to be worth compiling a second time."""
 
 
 @dataclass
@@ -55,6 +36,8 @@ class Work:
     cells: int
     episodes: int
     """Of each cell."""
+    oracle: str = ""
+    """Whose targets may cost more than a step."""
     begun: int = 0
     """Cells that were handed to workers."""
     finished: int = 0
@@ -121,11 +104,24 @@ class Work:
         return self.steps / (self.steps + self.steps_left) if self.steps else 0.0
 
 
+def works_of(sizes: Mapping[Program, int]) -> dict[Program, Work]:
+    """The programs with so many cells each, in their order, with nothing done yet."""
+    return {key: Work(key.env, key.algo, cells, key.episodes, key.oracle) for key, cells in sizes.items()}
+
+
+def least_to_join(env: str) -> int:
+    """Cells that must be left of a program of this task for a further worker to compile it too.
+
+    Where the host simulates, one is enough: its steps take longer than any compilation.
+    """
+    return 1 if find("task", env).on_host else JOIN
+
+
 def seconds_left(works: Sequence[Work], jobs: int) -> float:
     """Estimated seconds until all programs are done, by `jobs` workers.
 
-    A program that has been seen for a while costs what it did so far, in seconds a step; another one what the table of
-    this module says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
+    A program that has been seen for a while costs what it did so far, in seconds a step; another one what
+    `costs` says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
     they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
     as `executors` hands it out: a program each, and those who have no more join the one with most left.
     """
@@ -135,7 +131,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
     begun = [work for work in works if work.steps]
-    usual_compiling = sum(_SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * work.joined for work in begun)
+    usual_compiling = sum(costs.compiling(work.algo) * work.joined for work in begun)
     compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
 
     bound, free, to_compile = {}, {}, {}
@@ -150,13 +146,13 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         )
         of_free = work.steps_free / work.steps_left if work.steps else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = _SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * compiling
+        to_compile[index] = costs.compiling(work.algo) * compiling
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = _SECONDS_TO_COMPILE.get(work.algo, _COMPILE_OTHERS) * compiling
+        compile_left = costs.compiling(work.algo) * compiling
         if stepping or work.steps:  # it joined another; since when is not known
             compile_left /= 2
         else:
@@ -180,7 +176,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
             heapq.heappush(ends, (now + some, index))
             continue
         fresh = [each for each in free if each not in taken]
-        least = {each: 1 if find("task", works[each].env).on_host else JOIN for each in free}
+        least = {each: least_to_join(works[each].env) for each in free}
         cells = {
             each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
             for each, seconds in free.items()
@@ -199,7 +195,7 @@ def _is_seen(work: Work) -> bool:
 
 
 def _usual(work: Work) -> float:
-    return work.cells * work.episodes * _SECONDS_AN_EPISODE.get((work.env, work.algo), _EPISODE_OTHERS)
+    return work.cells * work.episodes * costs.of_episode(work.env, work.algo, work.oracle)
 
 
 @dataclass

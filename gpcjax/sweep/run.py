@@ -13,7 +13,7 @@ from gpcjax.sweep import machine, stopping
 from gpcjax.sweep.executors import Executors, Totals
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS
-from gpcjax.sweep.parts import versions_of
+from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State
 from gpcjax.sweep.runfolder import (
@@ -34,6 +34,9 @@ from gpcjax.sweep.store import CellRows, Store
 
 FLUSH_SECONDS = 2.0
 """Finished rows wait at most this long in memory."""
+
+UNKNOWN = "unknown, the manifest that said it was lost"
+"""The machine of rows that this one has not computed: they tell of which kind it was, not which."""
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
@@ -95,9 +98,12 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
         what = f"was damaged and lies in {out / DAMAGED} now"
     manifest = _new_manifest(spec, names, cells)
     if own_parts(out, manifest["hash"]):
-        # Its parts may be all that there is to compute, and of other versions than these.
-        manifest["versions"] = versions_of(out, manifest["hash"]) or manifest["versions"]
+        # Its parts may be all that there is to compute, and of other versions or another machine than these.
+        origins = origins_of(out, manifest["hash"])
+        manifest["versions"] = origins[0].versions if origins else manifest["versions"]
         manifest["recovered"] = True
+        if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
+            manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
     return manifest
 

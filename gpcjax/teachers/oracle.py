@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from gpcjax.errors import UserError
-from gpcjax.policies.base import ByIdentity, Vector, vector
+from gpcjax.policies.base import ByIdentity, Vector, check_executed, vector
 from gpcjax.teachers.base import Teacher
 
 
@@ -99,12 +99,14 @@ class Advisor(ByIdentity):
     def advise(
         self, key: PRNGKeyArray, obs: Vector, action: Vector, sigma_human: Vector | None = None
     ) -> Float[Array, " action"]:
-        """H (action_size,), each -1, 0 or 1, for an executed action. Consumes `key`.
+        """H (action_size,), each -1, 0 or 1, for an executed action, which is in [-1, 1]. Consumes `key`.
 
         Raises:
-            ValueError: a shape does not fit, or active learning needs `sigma_human`, from `Learner.uncertainty`.
+            ValueError: a shape does not fit, the action is beyond [-1, 1] (its value is not known where jax traces it:
+                clip it there), or active learning needs `sigma_human`, from `Learner.uncertainty`.
         """
         action = self._of_actions("action", action)
+        check_executed(action)
         if sigma_human is None:
             if self.oracle.active:
                 raise UserError("this oracle learns actively: give sigma_human, from learner.uncertainty")

@@ -29,12 +29,22 @@ def agrees(lane, expected, tolerance=TOLERANCE):
         got = getattr(lane.log, name)
         np.testing.assert_allclose(got[: len(values)], values, atol=tolerance, rtol=0, err_msg=name)
         assert not got[len(values) :].any()
-    lane = jax.tree.map(jnp.asarray, lane)
-    idle, learned = lane.learner.controller(lane.learner.init()), lane.learner.controller(lane.state)
-    for obs in jnp.asarray([[0.3, -0.2], [-1.0, 0.5]]):
-        np.testing.assert_allclose(learned(obs), lane.controller(obs), atol=1e-12)
-        np.testing.assert_allclose(learned(obs), lane.learner.controller(expected.state)(obs), atol=tolerance)
-        assert np.abs(learned(obs) - idle(obs)).max() > 1e-6
+    for obs in np.array([[0.3, -0.2], [-1.0, 0.5]]):
+        idle, learned, plainly, kept_beside = actions(lane, expected.state, obs)
+        np.testing.assert_allclose(learned, kept_beside, atol=1e-12)
+        np.testing.assert_allclose(learned, plainly, atol=tolerance)
+        assert np.abs(learned - idle).max() > 1e-6
+
+
+@eqx.filter_jit
+def _actions(lane, state, obs):
+    controllers = [lane.learner.controller(each) for each in (lane.learner.init(), lane.state, state)]
+    return [controller(obs) for controller in (*controllers, lane.controller)]
+
+
+def actions(lane, state, obs):
+    """Of a policy that learned nothing, of the learned one, of that in `state`, and of the lane's own controller."""
+    return [np.asarray(each) for each in _actions(jax.tree.map(jnp.asarray, lane), state, obs)]
 
 
 @pytest.mark.parametrize(

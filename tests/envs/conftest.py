@@ -10,13 +10,15 @@ import pytest
 
 from gpcjax.envs.base import Env, State
 
+begin = eqx.filter_jit(lambda env, key: env.reset(key))
+
 
 @pytest.fixture
 def plant() -> Callable[..., State]:
     """A state of `env` at chosen physics, as if `time` steps had been taken."""
 
     def at(env: Env, physics: np.ndarray, time: int = 0) -> State:
-        state = env.reset(jax.random.key(0))
+        state = begin(env, jax.random.key(0))
         return eqx.tree_at(
             lambda s: (s.physics, s.time), state, (jnp.asarray(physics), jnp.asarray(time, jnp.int32))
         )

@@ -26,8 +26,8 @@ def test_one_step_from_anywhere(reference: gymnasium.Env, plant: Plant) -> None:
     physics = rng.uniform(-1, 1, (300, 2)) * [20.0, 8.0]
     actions = rng.uniform(-1.5, 1.5, 300)
     env = Pendulum()
-    planted = jax.vmap(lambda p: plant(env, p))(jnp.asarray(physics))
-    after = jax.vmap(env.step)(planted, jnp.asarray(actions)[:, None])
+    step = lambda p, action: env.step(plant(env, p), action)  # noqa: E731
+    after = jax.tree.map(np.asarray, jax.jit(jax.vmap(step))(physics, actions[:, None]))
     for i, (start, action) in enumerate(zip(physics, actions, strict=True)):
         reference.state = np.array(start)
         _, reward, terminated, _, _ = reference.step(np.array([2 * action]))
@@ -50,7 +50,7 @@ def test_whole_episode(seed: int, reference: gymnasium.Env, plant: Plant) -> Non
     for time in range(1, 201):
         assert not state.done
         action = np.clip(np.sign(reference.state[1]) + 0.3 * rng.normal(), -1, 1)
-        state = step(state, jnp.array([action]))
+        state = step(state, np.array([action]))
         _, reward, _, _, _ = reference.step(np.array([2 * action]))
         np.testing.assert_allclose(state.physics, reference.state, rtol=0, atol=1e-9)
         np.testing.assert_allclose(state.reward, reward, rtol=0, atol=1e-8)
@@ -68,7 +68,7 @@ def test_cost_at_the_seam(plant: Plant) -> None:
 
 
 def test_reset(starts: Callable[[int], jax.Array]) -> None:
-    state = jax.vmap(Pendulum().reset)(starts(4000))
+    state = jax.jit(jax.vmap(Pendulum().reset))(starts(4000))
     theta, theta_dot = np.asarray(state.physics).T
     assert np.abs(theta).max() <= np.pi and np.abs(theta_dot).max() <= 1
     assert (

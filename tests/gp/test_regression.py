@@ -64,6 +64,9 @@ def append(process, posteriors, point, target, given=True, where=()) -> tuple[ja
     return _append(process, posteriors, where, *map(jnp.asarray, (point, target, given)))
 
 
+uncertainty, taken, written = map(jax.jit, (GaussianProcess.uncertainty, take, write))
+
+
 @jax.jit
 def _predict(process, posterior, point):
     mean = (process.covariances(posterior, point) * posterior.weights).sum()
@@ -207,14 +210,18 @@ def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
     rng = np.random.default_rng(7)
     for index in range(capacity):
         point, target = rng.normal(size=3), rng.normal()
-        told = process.uncertainty(posterior, jnp.asarray(point))
+        told = uncertainty(process, posterior, jnp.asarray(point))
         deviation, posterior = append(process, posterior, point, target)
         np.testing.assert_allclose(deviation, _predict(full, expected, jnp.asarray(point))[1], rtol=1e-9)
         np.testing.assert_allclose(deviation, told, rtol=1e-12)
         expected = put(full, expected, point, target, index)
         assert_same_bits(append(process, posterior, np.full(3, np.nan), 1.0, given=False)[1], posterior)
-    roots = (factor.dense(posterior.matrix, capacity, lower=True), factor.dense(expected.matrix, capacity))
-    np.testing.assert_allclose(*roots, atol=1e-9 * jnp.abs(roots[1]).max())
+    matrix_of = jax.jit(factor.dense, static_argnums=(1, 2))
+    roots = [
+        np.asarray(matrix_of(each.matrix, capacity, is_lower))
+        for each, is_lower in ((posterior, True), (expected, False))
+    ]
+    np.testing.assert_allclose(*roots, atol=1e-9 * np.abs(roots[1]).max())
     without = (dataclasses.replace(each, matrix=jnp.zeros(0)) for each in (posterior, expected))
     assert_close(*without, 1e-9)
 
@@ -249,18 +256,19 @@ def test_one_of_many_places_touches_no_other(normalise, where):
     posterior, point = filled(process, 9), np.array([0.3, 0.1, -0.2])
 
     def many(leaf):
-        blank = jnp.full((3, 2)[: len(where)] + leaf.shape, np.nan if leaf.dtype == float else 5, leaf.dtype)
-        return blank.at[where].set(leaf)
+        blank = np.full((3, 2)[: len(where)] + leaf.shape, np.nan if leaf.dtype == float else 5, leaf.dtype)
+        blank[where] = leaf
+        return jnp.asarray(blank)
 
     posteriors = jax.tree.map(many, posterior)
-    assert_same_bits(take(posteriors, place), posterior)
+    assert_same_bits(taken(posteriors, place), posterior)
     for index in (0, 8, 9):
         after = put(process, posteriors, point, 0.5, index, where=place)
         # The factors are badly conditioned, so their entries agree less well than what they predict.
-        assert_close(take(after, place), put(process, posterior, point, 0.5, index), 1e-6)
+        assert_close(taken(after, place), put(process, posterior, point, 0.5, index), 1e-6)
         assert after.count[where] == max(index + 1, 9)
         renewed = Renewed(posterior, jnp.array(True))
-        assert_same_bits(write(after, place, renewed), posteriors)
+        assert_same_bits(written(after, place, renewed), posteriors)
         assert_same_bits(put(process, posteriors, point, 0.5, index, given=False, where=place), posteriors)
     if not normalise:
         lean = make(normalise, keeps_weights=False, replaces=False)
@@ -269,10 +277,11 @@ def test_one_of_many_places_touches_no_other(normalise, where):
             posterior = append(lean, posterior, 0.1 * point * index, 0.5)[1]
         posteriors = jax.tree.map(many, posterior)
         deviation, after = append(lean, posteriors, point, 0.5, where=place)
-        np.testing.assert_allclose(deviation, lean.uncertainty(posterior, jnp.asarray(point)), rtol=1e-12)
-        assert_close(take(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
+        told = uncertainty(lean, posterior, jnp.asarray(point))
+        np.testing.assert_allclose(deviation, told, rtol=1e-12)
+        assert_close(taken(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
         renewed = Renewed(posterior, jnp.array(True))
-        assert_same_bits(write(after, place, renewed), posteriors)
+        assert_same_bits(written(after, place, renewed), posteriors)
         assert_same_bits(append(lean, posteriors, point, 0.5, given=False, where=place)[1], posteriors)
 
 
@@ -280,12 +289,12 @@ def test_one_of_many_places_touches_no_other(normalise, where):
 def test_a_batch_is_its_members(normalise):
     process = make(normalise)
     lanes = [filled(process, count, seed=count) for count in (0, 3, 8, 15)]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *lanes)
     rng = np.random.default_rng(4)
-    points, targets = jnp.asarray(rng.normal(size=(4, 3))), jnp.asarray(rng.normal(size=4))
-    index, given = jnp.int32([0, 1, 8, 15]), jnp.asarray([True, True, False, True])
-    put_all = jax.vmap(lambda posterior, *rest: _put(process, posterior, (), *rest))
-    together = put_all(stacked, points, targets, index, given)
+    points, targets = rng.normal(size=(4, 3)), rng.normal(size=4)
+    index, given = np.array([0, 1, 8, 15], np.int32), np.array([True, True, False, True])
+    put_all = jax.jit(jax.vmap(lambda posterior, *rest: _put(process, posterior, (), *rest)))
+    together = jax.tree.map(np.asarray, put_all(stacked, points, targets, index, given))
     for i, lane in enumerate(lanes):
         alone = put(process, lane, points[i], targets[i], index[i], given[i])
         # The factors are badly conditioned, so their entries agree less well than what they predict.

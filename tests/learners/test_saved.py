@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gpcjax
+from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
 from tests.trees import assert_same_bits
 
@@ -99,6 +100,27 @@ def test_advice_that_is_none_is_not_learned_under_jit(algo):
         with pytest.raises(ValueError, match="each entry must be -1, 0 or 1"):
             learner.correct(state, np.ones(2), np.zeros(2), advice)
     assert correct(state, jnp.ones(2), jnp.zeros(2), jnp.array([1.0, -1.0]))[1].status == 0
+
+
+@pytest.mark.parametrize("algo", ["gpc", "coach"])
+def test_an_action_that_was_never_executed_is_not_learned(algo):
+    """What is executed is clipped: a loop that gives what it proposed is told so."""
+    learner = learner_of(algo)
+    state, advice = learner.init(), jnp.array([1.0, 0.0])
+    traced = jax.jit(learner.correct), jax.jit(lambda *given: learner.correct(*given, [1, 0]))
+    for action in ([1.001, 0.0], [0.0, -3.0], [1e200, 0.0], [np.nan, 2.0]):
+        for call in (traced[0](state, jnp.ones(2), jnp.array(action), advice),
+                     traced[1](state, jnp.ones(2), jnp.array(action))):  # fmt: skip
+            assert call[1].status == 3 and not call[1].rate.any()
+            assert_same_bits(call[0], state)
+        with pytest.raises(UserError, match=r"action \[.*\]: each entry must be from -1 to 1, as it"):
+            learner.correct(state, np.ones(2), action, advice)
+    for action in ([1.0, -1.0], np.float32([1.0, -1.0]), [1, -1]):
+        assert learner.correct(state, np.ones(2), action, advice)[1].status == 0
+    assert traced[0](state, jnp.ones(2), jnp.array([1.0, -1.0]), advice)[1].status == 0
+    for action in ([np.inf, 0.0], [np.nan, 0.0]):
+        assert learner.correct(state, np.ones(2), action, advice)[1].status == 2
+        assert traced[0](state, jnp.ones(2), jnp.array(action), advice)[1].status == 2
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Damaged folders are refused in one line that names the file, whatever was done to them."""
 
+import gc
 import json
+import logging
 import random
 import shutil
 
@@ -8,7 +10,9 @@ import numpy as np
 import pytest
 
 import gpcjax
+from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.policies import folder
 from gpcjax.policies.saved import load_policy, shipped_path
 
 
@@ -64,6 +68,51 @@ def test_any_changed_byte_is_found(tmp_path, learner, what):
             load(path)
         assert "\n" not in str(raised.value)
         shutil.rmtree(path)
+
+
+# A thread of orbax's that comes too late speaks to a loop that is closed, which pytest finds at some later time.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("change", ["cut", "flip", "remove"])
+def test_nothing_else_reaches_the_terminal(tmp_path, learner, change, capfd, caplog):
+    """With sums that fit, so that the checkpoint itself is read; also nothing later, when what it left is freed."""
+    path = shutil.copytree(learner, tmp_path / "bad")
+    for file in sorted((path / "arrays").rglob("*")):
+        if file.is_file() and file.parent.name == "d":
+            content = file.read_bytes()
+            match change:
+                case "cut":
+                    file.write_bytes(content[: len(content) // 2])
+                case "flip":
+                    file.write_bytes(bytes(byte ^ 255 for byte in content))
+                case "remove":
+                    file.unlink()
+    sums = [f"{folder._sum(path / name)}  {name}\n" for name in folder._names(path)]
+    (path / "SHA256SUMS").write_text("".join(sums))
+    capfd.readouterr()
+    with pytest.raises(
+        UserError, match=rf"^{path}/arrays: the arrays of this learner cannot be read \(.+\)$"
+    ) as raised:
+        gpcjax.load_learner(path)
+    assert raised.value.__context__ is None
+    del raised
+    gc.collect()
+    assert capfd.readouterr() == ("", "") and not caplog.records
+    assert logging.root.manager.disable == logging.NOTSET
+
+
+@pytest.mark.parametrize("place", ["file/new", "file/deep/new", "n" * 300, "/proc/none/new"])
+def test_where_nothing_can_be_written_is_one_line(tmp_path, place, capfd):
+    (tmp_path / "file").touch()
+    learner = make_learner("coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=(2,))
+    for save in (gpcjax.save_learner, gpcjax.save_policy):
+        path = tmp_path / place
+        with pytest.raises(
+            UserError, match=rf"^{path}: it cannot be written there \(.*\), give another path$"
+        ):
+            save(path, learner, learner.init())
+        with pytest.raises(UserError, match=r"^path '': give a path$"):
+            save("", learner, learner.init())
+    assert capfd.readouterr() == ("", "") and [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
 STRANGE = [

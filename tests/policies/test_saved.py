@@ -191,7 +191,8 @@ class TestLoading:
 
 
 def test_the_first_oracle_is_shipped_wherever_a_task_ships_some():
-    assert {env: tuple(shipped(env).values()) for env in env_names()} == {
+    names = {env: tuple(shipped(env).values()) for env in env_names()}
+    assert names == {
         "cartpole": ("cartpole", "cartpole-2", "cartpole-3", "cartpole-network"),
         "pendulum": ("pendulum", "pendulum-network"),
         "lunarlander": (),

@@ -55,31 +55,56 @@ def test_permissions_follow_the_umask(tmp_path):
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
+DEAD = 4_999_999
+"""More than Linux counts to: no process has it."""
+
+
+def temporary(target, pid=DEAD):
+    return f".gpcjax-{pid}-0123456789ab.{target}.tmp"
+
+
 class TestClean:
     def test_ours_go_at_once_others_when_they_are_old(self, tmp_path):
-        for name in (".a.0123456789ab.tmp", ".b.0123456789ab.tmp", ".c.0123456789ab.tmp"):
-            (tmp_path / name).touch()
-        os.utime(tmp_path / ".c.0123456789ab.tmp", (0, 0))
+        for target in "abc":
+            (tmp_path / temporary(target)).touch()
+        (tmp_path / temporary("a", os.getpid())).touch()
+        os.utime(tmp_path / temporary("c"), (0, 0))
         clean(tmp_path, lambda target: target == "a")
-        assert os.listdir(tmp_path) == [".b.0123456789ab.tmp"]
+        assert os.listdir(tmp_path) == [temporary("b")]
 
     @pytest.mark.parametrize(
         "name",
-        ["a", ".a.tmp", ".a.0123.tmp", "a.0123456789ab.tmp", ".a.0123456789AB.tmp", ".a.0123456789ab.tmp~"],
+        [
+            *("a", ".a.tmp", ".a.0123456789ab.tmp", ".manifest.json.0123456789ab.tmp", "a.0123456789ab.tmp"),
+            *(temporary("a")[1:], temporary("a") + "~", temporary("a").replace("ab.", "AB."), temporary("")),
+            *(temporary("a").replace("gpcjax", "gpc"), temporary("a", "x"), temporary("a", -1)),
+        ],
     )
     def test_what_is_not_of_our_form_stays(self, tmp_path, name):
+        """Another program's file of the same kind of name is another program's."""
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))
         clean(tmp_path, lambda target: True)
-        assert os.listdir(tmp_path) == [name]
+        assert os.listdir(tmp_path) == [name] and target_of(name) is None
+
+    def test_what_a_process_writes_that_still_runs_stays(self, tmp_path):
+        """Where a file system has no locks there may be a second writer."""
+        for pid in (os.getppid(), 1):
+            (tmp_path / temporary("a", pid)).touch()
+            os.utime(tmp_path / temporary("a", pid), (0, 0))
+        clean(tmp_path, lambda target: True)
+        assert len(os.listdir(tmp_path)) == 2
+        (tmp_path / temporary("a", 9_999_999_999)).touch()
+        clean(tmp_path, lambda target: True)
+        assert len(os.listdir(tmp_path)) == 2
 
     def test_what_cannot_be_removed_is_no_error(self, tmp_path):
-        (tmp_path / ".a.0123456789ab.tmp").mkdir()
+        (tmp_path / temporary("a")).mkdir()
         clean(tmp_path, lambda target: True)
         clean(tmp_path / "none", lambda target: True)
-        assert (tmp_path / ".a.0123456789ab.tmp").is_dir()
+        assert (tmp_path / temporary("a")).is_dir()
 
     def test_it_knows_its_own(self, tmp_path):
-        with atomic_path(tmp_path / "a.b") as temporary:
-            temporary.touch()
-            assert target_of(temporary.name) == "a.b"
+        with atomic_path(tmp_path / "a.b") as path:
+            path.touch()
+            assert target_of(path.name) == "a.b"

@@ -1,6 +1,7 @@
 """Worker processes that fail in every way, with a few lines of Python in the place of the one that computes."""
 
 import errno
+import signal
 import subprocess
 import sys
 import threading
@@ -165,3 +166,61 @@ os._exit(3)
     assert work["begun"] == 1 and work["workers"] == 1 and work["cells"] == 4
     assert 0.6 < work["seconds"] < 30
     assert np.isfinite(work["recent_steps"])
+
+
+@pytest.fixture
+def alone(tmp_path, monkeypatch):
+    """Has `run_alone` run this code as a module; gives its processes."""
+    monkeypatch.syspath_prepend(tmp_path)
+    started, popen = [], subprocess.Popen
+
+    def start(*arguments, **options):
+        started.append(popen(*arguments, **options))
+        return started[-1]
+
+    monkeypatch.setattr(executors.subprocess, "Popen", start)
+
+    def run(code):
+        (tmp_path / "some_module.py").write_text(f"import os, signal, sys, time\n{code}\n")
+        executors.run_alone("some_module", "word")
+
+    yield run
+    assert started and all(process.poll() is not None for process in started)
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "fault"),
+    [
+        ("os.kill(os.getpid(), signal.SIGKILL)", f"was killed by SIGKILL, perhaps by the system for want of memory{FEWER}", False),  # noqa: E501
+        ("raise ValueError('why')", "ended with status 1: ValueError: why", True),
+        ("raise MemoryError", f"ended with status 1: MemoryError{FEWER}", False),
+        ("open('/none/such')", "ended with status 1: FileNotFoundError: [Errno 2] No such file or directory: '/none/such'", False),  # noqa: E501
+        ("sys.exit(f'{sys.argv[1:]} {os.environ[\"NPROC\"]}')", "ended with status 1: ['word'] 1", False),
+    ],
+)  # fmt: skip
+def test_one_alone_that_ends_says_why(alone, code, message, fault, capfd):
+    with pytest.raises(Failure) as failure:
+        alone(code)
+    assert str(failure.value) == f"some_module {message}"
+    assert ("ValueError: why" in failure.value.details) == fault and bool(failure.value.details) == fault
+    assert capfd.readouterr() == ("", "")
+
+
+def test_one_alone_is_stopped_without_a_word(alone, capfd):
+    """What it prints is shown; Ctrl-C is for the parent alone, which ends it."""
+
+    def stop(number, frame):
+        raise stopping.Stopped(signal.SIGINT)
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1.0)
+        with pytest.raises(stopping.Stopped):
+            alone("print('seed 0', flush=True)\nassert os.getpgrp() == os.getpid()\ntime.sleep(60)")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    out, err = capfd.readouterr()
+    assert out in ("seed 0\n", "") and err == ""
+    alone("print('seed 1', file=sys.stdout)\nprint('a warning', file=sys.stderr)")
+    assert capfd.readouterr() == ("seed 1\n", "")

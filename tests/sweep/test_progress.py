@@ -2,11 +2,17 @@
 
 import io
 import random
+from collections import Counter
 from dataclasses import replace
 
 import pytest
 
-from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left
+from gpcjax.envs.registry import env_names, expert_names
+from gpcjax.registry import names
+from gpcjax.sweep import costs
+from gpcjax.sweep.plan import plan, program_of
+from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left, works_of
+from gpcjax.sweep.spec import spec_of
 
 TICK = 0.25
 
@@ -257,3 +263,29 @@ def test_a_terminal_gets_a_bar(monkeypatch, columns):
     if columns == "200":
         assert "3/10 cells" in stream.getvalue() and " left" in stream.getvalue()
     assert stream.getvalue()
+
+
+def test_one_table_says_what_programs_cost():
+    """Of every task and learner; an expert that plans at each advice costs much more than one that does not."""
+    for env in env_names():
+        for algo in names("learner"):
+            usual = costs.of_episode(env, algo, expert_names(env)[0])
+            assert usual > 0 and costs.compiling(algo) > 0
+            for oracle in expert_names(env):
+                assert (costs.of_episode(env, algo, oracle) > 4 * usual) == (oracle == "mpc")
+    assert costs.of_episode("cartpole", "coach", "mpc") > 100 * costs.of_episode("cartpole", "coach", "gpc")
+    fast, slow = (
+        works_of(
+            Counter(map(program_of, plan(spec_of(env="cartpole", algo="coach", oracle=oracle, seeds=8))))
+        )
+        for oracle in ("gpc", "mpc")
+    )
+    (work,) = slow.values()
+    assert (work.env, work.algo, work.oracle, work.cells, work.episodes) == (
+        "cartpole",
+        "coach",
+        "mpc",
+        8,
+        30,
+    )
+    assert seconds_left(list(slow.values()), 2) > 5 * seconds_left(list(fast.values()), 2)

@@ -15,11 +15,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.report import html
+from gpcjax.report.groups import gather
+from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.run import run, sweep
+from gpcjax.sweep.run import UNKNOWN, run, sweep
 from gpcjax.sweep.runfolder import FORMAT, tell, write_manifest
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store, read_episodes
@@ -330,6 +333,22 @@ class TestManifestMadeAnew:
         assert half.calls[0][0] == plan(SPEC)[3:]
         assert f"{tmp_path / 'manifest.json'} is missing: made anew" in capsys.readouterr().err
 
+    def test_the_machine_is_this_one_where_the_parts_say_so(self, tmp_path, half):
+        (tmp_path / "manifest.json").unlink()
+        sweep(tmp_path, **SETTINGS)
+        assert manifest(tmp_path)["machine"] == machine.describe()
+        assert "further_machines" not in manifest(tmp_path)
+
+    def test_and_unknown_where_they_say_another(self, tmp_path, half, monkeypatch):
+        (tmp_path / "manifest.json").unlink()
+        here = machine.describe() | {"cpu_model": "another"}
+        monkeypatch.setattr(machine, "describe", lambda: here)
+        sweep(tmp_path, **SETTINGS)
+        written = manifest(tmp_path)
+        assert written["machine"] == {"processor": UNKNOWN} and written["further_machines"] == [here]
+        page = html.page(summarise(gather(read_episodes(tmp_path), written)), [])
+        assert UNKNOWN in page and "It went on with another machine" in page
+
     def test_not_for_another_sweep(self, tmp_path, half):
         (tmp_path / "manifest.json").unlink()
         before = contents(tmp_path)
@@ -366,13 +385,15 @@ def test_what_kills_leave_is_removed(tmp_path, pretend):
     with contextlib.suppress(KeyboardInterrupt):
         sweep(tmp_path, **SETTINGS)
     (part,) = parts(tmp_path)
-    for name in (".manifest.json", f"episodes/.{part.name}", f"corrections/.{part.name}"):
-        for number in range(3):
-            (tmp_path / f"{name}.{number:012x}.tmp").write_text("half")
+    others = tmp_path / "episodes" / ".rows.0123456789ab.tmp"
+    others.write_text("another program's")
+    for folder, name in ((".", "manifest.json"), ("episodes", part.name), ("corrections", part.name)):
+        for number in range(3):  # of a process that no system has
+            (tmp_path / folder / f".gpcjax-4999999-{number:012x}.{name}.tmp").write_text("half")
     (tmp_path / ".gpcjax.lock").write_text('{"pid": 1}')
     pretend()
     sweep(tmp_path, **SETTINGS)
-    assert not [path for path in tmp_path.rglob(".*")]
+    assert [path for path in tmp_path.rglob(".*")] == [others]
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_the_same_sweep_goes_on_in_its_folder(tmp_path):
 
 def test_what_a_kill_left_before_the_manifest_is_no_hindrance(tmp_path):
     (tmp_path / "episodes").mkdir()
-    (tmp_path / ".manifest.json.0123456789ab.tmp").touch()
+    (tmp_path / ".gpcjax-4999999-0123456789ab.manifest.json.tmp").touch()
     (tmp_path / LOCK).touch()
     check_sweep(tmp_path, SPEC)
 

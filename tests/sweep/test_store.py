@@ -412,8 +412,8 @@ class TestGoingOn:
         before = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
         store = filled(tmp_path, cells=cells[2:4])
         part = max((tmp_path / "episodes").iterdir())
-        part.rename(part.with_name(f".{part.name}.0123456789ab.tmp"))
-        (tmp_path / ".manifest.json.0123456789ab.tmp").write_bytes(b"half")
+        part.rename(part.with_name(f".gpcjax-4999999-0123456789ab.{part.name}.tmp"))
+        (tmp_path / ".gpcjax-4999999-0123456789ab.manifest.json.tmp").write_bytes(b"half")
         assert store.missing(cells) == cells[2:]
         assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == before
 

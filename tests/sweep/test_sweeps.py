@@ -107,7 +107,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def kill_and_resume(settings: dict, reference: Path, folder: Path) -> None:
+def kill_and_resume(settings: dict, reference: Path, folder: Path, query: str = "seed >= 0") -> None:
     """kill -9 of a sweep after its first rows.
 
     No worker outlives it; what is missing runs later, and what was there stays as it was.
@@ -122,10 +122,10 @@ def kill_and_resume(settings: dict, reference: Path, folder: Path) -> None:
         wait_for(lambda: not any(map(alive, workers)))
     assert len(workers) == 1
     before = {path: path.read_bytes() for path in out.glob("episodes/*.parquet")}
-    assert 0 < len(read_episodes(out)) < len(read_episodes(reference))
+    assert 0 < len(read_episodes(out)) < len(read_episodes(reference).query(query))
     assert not json.loads((out / "manifest.json").read_text())["complete"]
     sweep(out, **settings)
-    assert_the_same_rows(out, reference)
+    assert_the_same_rows(out, reference, query)
     assert all(path.read_bytes() == content for path, content in before.items())
 
 
@@ -167,7 +167,7 @@ def test_every_learner_of_a_seed_begins_alike(reference):
 
 
 def test_against_a_plain_loop(reference):
-    """The first episode of each cell, step by step with the learner itself: its return and its corrections."""
+    """The first episode of a cell of each learner, step by step with itself: its return and its corrections."""
     frame, corrections = read_episodes(reference), read_corrections(reference)
     env, expert = make_env("cartpole"), make_expert("cartpole", "lqr")
 
@@ -180,7 +180,7 @@ def test_against_a_plain_loop(reference):
         advice = jnp.where(jnp.abs(gap) > cell.delta, jnp.sign(gap), 0.0) * (coins < cell.rate)
         return action, jnp.where(coins < cell.rate * cell.error, -advice, advice), env.step(at, action)
 
-    for cell in plan(spec_of(**SETTINGS))[::3]:
+    for cell in plan(spec_of(**SETTINGS))[::5]:
         start, rates = start_of(cell), []
         learner = jax.tree.map(jnp.asarray, start.learner)
         state, at = learner.init(), env.reset(streams.start_key(cell.seed, 0))
@@ -254,7 +254,8 @@ def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
 
 
 def test_killed_and_resumed(reference, tmp_path):
-    kill_and_resume(SETTINGS, reference, tmp_path)
+    """Without GPC-NS, as the next one: for each process its programs are traced anew, which takes longest."""
+    kill_and_resume(SETTINGS | {"algo": ["gpc", "coach"]}, reference, tmp_path, "algo != 'gpc-ns'")
 
 
 def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, tmp_path):
@@ -265,7 +266,7 @@ def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, t
         "gpcjax",
         "sweep",
         "--env=cartpole",
-        "--algo=coach,gpc-ns,gpc",
+        "--algo=coach,gpc",
         "--error=0.2,0",
         "--seeds=2",
         "--episodes=3",
@@ -283,5 +284,5 @@ def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, t
     assert line == f"gpcjax: stopped: {out} keeps what is finished, the same command goes on from there"
     assert not list(out.rglob("*.tmp"))
     subprocess.run([sys.executable, *words], cwd=ROOT, check=True, capture_output=True)
-    assert_the_same_rows(out, reference)
+    assert_the_same_rows(out, reference, "algo != 'gpc-ns'")
     assert (out / "report.html").exists() and (out / "summary.csv").exists()

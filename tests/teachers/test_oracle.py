@@ -162,6 +162,10 @@ class TestAdvisor:
             advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1))
         assert advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1), [1.0]).tolist() == [-1]
         assert advisor.advise(jax.random.key(1), np.zeros(4), np.ones(1), np.zeros(1)).tolist() == [0]
+        with pytest.raises(
+            ValueError, match=r"action \[1.5\]: each entry must be from -1 to 1, as it was executed"
+        ):
+            advisor.advise(jax.random.key(1), np.zeros(4), [1.5], np.zeros(1))
 
     @pytest.mark.parametrize(
         ("options", "message"),

@@ -1,0 +1,38 @@
+"""About what programs take of one core: the one table for guesses of time. Loads no jax.
+
+A sweep corrects them as soon as one program has been seen, which tells how fast this machine is; until then, and for an
+experiment that has not begun, they are all that is known.
+"""
+
+_EPISODE = {
+    ("cartpole", "gpc"): 1.5e-3,
+    ("cartpole", "gpc-ns"): 3e-3,
+    ("cartpole", "coach"): 3.8e-4,
+    ("pendulum", "gpc"): 7.7e-4,
+    ("pendulum", "gpc-ns"): 4e-3,
+    ("pendulum", "coach"): 2.1e-4,
+    ("lunarlander", "gpc"): 1.3e-2,
+    ("lunarlander", "gpc-ns"): 2.2e-1,
+    ("lunarlander", "coach"): 7e-3,
+}
+"""Seconds of an episode, with an expert whose target costs no more than a step: the mean of a task is that of its
+experiment in docs/reproduction, the ratios of its learners are those of `benchmarks/README.md`."""
+
+_TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
+"""Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
+a usual episode (1,100 and 200), where a teacher may advise."""
+
+_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6}
+
+_EPISODE_OF_OTHERS, _COMPILING_OTHERS = 1e-3, 5.0
+"""Of a task or a learner that is not in the tables: a guess that holds until it has been seen."""
+
+
+def of_episode(env: str, algo: str, oracle: str) -> float:
+    """Seconds of an episode of this program, without compiling it."""
+    return _EPISODE.get((env, algo), _EPISODE_OF_OTHERS) + _TARGETS.get((env, oracle), 0.0)
+
+
+def compiling(algo: str) -> float:
+    """Seconds until a learner's programs are compiled."""
+    return _COMPILING.get(algo, _COMPILING_OTHERS)
