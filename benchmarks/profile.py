@@ -23,7 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.cases import ERRORS, Case
-from gpcjax.engine import teaching
+from gpcjax.engine.asking import ask
+from gpcjax.engine.correcting import correct
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.pool import Pool, Tier
 from gpcjax.engine.rollout import Loop
@@ -102,9 +103,7 @@ def parts(loop: Loop, block: Lane) -> dict[str, float]:
         )
 
     def ask(block: Lane) -> Lane:
-        asked, advice = teaching.ask(
-            replace(block, waiting=jnp.ones_like(block.waiting)), loop.expert, loop.grows
-        )
+        asked, advice = ask(replace(block, waiting=jnp.ones_like(block.waiting)), loop.expert, loop.grows)
         env = replace(block.env, time=block.env.time + 1 + (advice[0] > 2).astype(jnp.int32))
         return replace(block, env=env, action=asked.action + 1e-12 * advice)
 
@@ -125,7 +124,7 @@ def correction(loop: Loop, block: Lane) -> float:
     def correct(carry: tuple[Any, Lane]) -> tuple[Any, Lane]:
         index, block = carry
         advice = jnp.where(jnp.arange(lanes) == index % lanes, 1.0, 0.0)[None]
-        corrected = teaching.correct(block, advice)
+        corrected = correct(block, advice)
         # A dictionary that is nearly full stays so: the work is the same, and its room is never exceeded.
         policy, human = corrected.state.policy, corrected.state.human
         limit = lambda posterior: dataclasses.replace(  # noqa: E731

@@ -13,7 +13,7 @@ _PUBLIC = {
     "Info": "gpcjax.learners.base:Info",
     "Learner": "gpcjax.learners.base:Learner",
     "LearnerSpec": "gpcjax.describe:LearnerSpec",
-    "Moment": "gpcjax.learners.base:Moment",
+    "Moment": "gpcjax.moment:Moment",
     "Oracle": "gpcjax.teachers.oracle:Oracle",
     "Setting": "gpcjax.describe:Setting",
     "State": "gpcjax.envs.base:State",
@@ -85,9 +85,10 @@ if TYPE_CHECKING:
     from gpcjax.envs.brax_adapter import brax_env
     from gpcjax.envs.host import HostEnv
     from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
-    from gpcjax.learners.base import Info, Learner, Moment
+    from gpcjax.learners.base import Info, Learner
     from gpcjax.learners.factory import make_learner
     from gpcjax.learners.saved import load_learner, save_learner, save_policy
+    from gpcjax.moment import Moment
     from gpcjax.policies.base import Controller
     from gpcjax.policies.saved import load_policy
     from gpcjax.registry import learner_names, teacher_names

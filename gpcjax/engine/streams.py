@@ -21,6 +21,7 @@ import gpcjax._x64  # noqa: F401
 START = 0
 COIN = 1
 LEARNER = 2
+TEACHER = 3
 
 Scalar = Int[Array, ""] | int
 Word = UInt32[Array, ""]
@@ -51,9 +52,15 @@ def first_key(seed: Scalar) -> PRNGKeyArray:
     return _typed(*threefry((_word(seed), jnp.uint32(LEARNER)), (jnp.uint32(0), jnp.uint32(1))))
 
 
-def learner_key(seed: Scalar, episode: Scalar, step: Scalar) -> PRNGKeyArray:
-    """For what a learner draws at one step (from 0) of an episode."""
-    return _typed(*threefry(_episode_key(seed, LEARNER, episode), (_word(step), jnp.uint32(0))))
+def learner_key(seed: Scalar, episode: Scalar, step: Scalar, use: Scalar = 0) -> PRNGKeyArray:
+    """For what a learner draws at one step (from 0) of an episode, another one for each use of it there."""
+    return _typed(*threefry(_episode_key(seed, LEARNER, episode), (_word(step), _word(use))))
+
+
+def draws(seed: Scalar, episode: Scalar, step: Scalar) -> Float[Array, " 3"]:
+    """What a teacher draws beside its coins at one step: uniform in [0, 1)."""
+    key = _episode_key(seed, TEACHER, episode)
+    return jnp.stack([_uniform(*threefry(key, (_word(step), _word(which)))) for which in range(3)])
 
 
 def threefry(key: tuple[Word, Word], counter: tuple[Word, Word]) -> tuple[Word, Word]:

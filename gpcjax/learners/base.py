@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.moment import Moment
 from gpcjax.policies.base import (
     ByIdentity,
     Controller,
@@ -86,18 +87,6 @@ class Info(eqx.Module):
         return cls(rate, unknown, unknown, none, none, none, jnp.asarray(Status.OK, jnp.int32))
 
 
-class Moment(eqx.Module):
-    """What a correction is about: one step of one lane."""
-
-    obs: Float[Array, " obs"]
-    action: Float[Array, " action"]
-    """What was executed there, in [-1, 1]."""
-    episode: Int[Array, ""]
-    """From 0; 0 where nobody counts them."""
-    step: Int[Array, ""]
-    """Of the episode, from 0; 0 where nobody counts them."""
-
-
 class Learner(ByIdentity):
     """Learns a policy from advice.
 
@@ -135,6 +124,13 @@ class Learner(ByIdentity):
         be kept out: such a state is dropped, and the correction has `Status.NON_FINITE`.
         """
         raise NotImplementedError(f"{type(self).__name__} has no learn: write it")
+
+    idle_every: ClassVar[int] = 0
+    """Steps of an episode between two calls of `idle`, which comes after a correction; 0 is never. Static."""
+
+    def idle(self, state: State, key: PRNGKeyArray) -> State:
+        """What `state` becomes without advice, for learners that go on learning from what they have kept."""
+        return state
 
     def measure(self, state: State) -> dict[str, Float[Array, ""]]:
         """Numbers by name that become columns of an episode's row, as they are at its end."""
@@ -192,8 +188,8 @@ class Learner(ByIdentity):
         """The same state with twice the room, for hosts that see `Info.full`."""
         return state
 
-    def has_room(self, state: State) -> Bool[Array, ""]:
-        """Whether one more correction surely fits, whatever it is."""
+    def has_room(self, state: State, corrections: int = 1) -> Bool[Array, ""]:
+        """Whether so many more corrections of an action dimension surely fit, whatever they are."""
         return jnp.ones((), bool)
 
     def resize(self, state: State, policy_capacity: int, human_capacity: int) -> State:
@@ -236,6 +232,14 @@ class Learner(ByIdentity):
         status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status)
         learned = (advice != 0) & finite & (status == Status.OK)
         return kept, dataclasses.replace(info, rate=jnp.where(learned, info.rate, 0.0), status=status)
+
+    def _idle(self, state: State, key: PRNGKeyArray) -> tuple[State, Int[Array, ""]]:
+        """`idle`, if nothing that is no number comes of it, and the status of that."""
+        new = self.idle(state, key)
+        leaves = [leaf for leaf in jax.tree.leaves(new) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all() if leaves else jnp.array(True)
+        kept = jax.tree.map(lambda now, old: jnp.where(finite, now, old), new, state)
+        return kept, jnp.where(finite, Status.OK, Status.NON_FINITE).astype(jnp.int32)
 
     def _correct(
         self,

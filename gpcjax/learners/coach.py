@@ -78,7 +78,7 @@ class COACH(Learner):
         )
         none = jnp.zeros((), bool)
         info = Info(
-            rate=jnp.where(learns, rate, 0.0),
+            rate=jnp.where(learns, rate * jnp.abs(advice), 0.0),
             sigma_policy=jnp.array(jnp.nan),
             sigma_human=jnp.array(jnp.nan),
             appended=none,

@@ -102,10 +102,10 @@ class GPC(Learner):
         """Points of P and of H over all action dimensions."""
         return state.policy.count.sum(), state.human.count.sum()
 
-    def has_room(self, state: GPCState) -> Bool[Array, ""]:
-        """Whether one more correction surely fits into every dictionary."""
-        policy = (state.policy.count < state.policy.points.shape[1]).all()
-        return policy & (state.human.count < state.human.points.shape[1]).all()
+    def has_room(self, state: GPCState, corrections: int = 1) -> Bool[Array, ""]:
+        """Whether so many more corrections surely fit into every dictionary."""
+        policy = (state.policy.count + (corrections - 1) < state.policy.points.shape[1]).all()
+        return policy & (state.human.count + (corrections - 1) < state.human.points.shape[1]).all()
 
     def largest_sigma(self) -> Float[Array, ""]:
         """The human model's prior deviation: data only lower it."""
@@ -192,7 +192,7 @@ class GPC(Learner):
         learns &= finite
         status = jnp.where(finite, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
         info = Info(
-            rate=jnp.where(learns, rate, 0.0),
+            rate=jnp.where(learns, rate * jnp.abs(advice), 0.0),
             sigma_policy=sigma_policy,
             sigma_human=sigma_human,
             appended=learns & ~replaces,

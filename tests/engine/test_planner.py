@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax.engine.asking import _targets
 from gpcjax.engine.lanes import fresh
-from gpcjax.engine.teaching import _targets
 from gpcjax.policies.base import Planner
 from tests.engine.tasks import EPISODES, Drift, expert, starts
 
