@@ -90,6 +90,7 @@ class TaskSpec:
     | `max_capacity` | default bound of a dictionary's points                                                  |
     | `on_host`      | simulated there: a step takes tens of microseconds, whatever is compiled                |
     | `sizes`        | of an observation and of an action; None asks the task                                  |
+    | `time_step`    | seconds of a step; None where a task has no unit of time: then delays are in steps      |
     | `obs_scale`    | how large each number of an observation usually is; None says nothing                   |
     | `presets`      | learner name -> keyword arguments of what makes it                                      |
     """
@@ -104,6 +105,7 @@ class TaskSpec:
     max_capacity: int = 1024
     on_host: bool = False
     sizes: tuple[int, int] | None = None
+    time_step: float | None = None
     obs_scale: tuple[float, ...] | None = None
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, hash=False)
 
@@ -111,6 +113,11 @@ class TaskSpec:
     def title(self) -> str:
         """As reports write it."""
         return self.label or self.name
+
+    @property
+    def seconds(self) -> float:
+        """Of a step; 1 where a task has no unit of time, so that delays are in steps."""
+        return 1.0 if self.time_step is None else self.time_step
 
 
 @dataclass(frozen=True)
@@ -176,7 +183,7 @@ Spec = TaskSpec | LearnerSpec | TeacherSpec
 
 OF_EVERY_SWEEP = frozenset(
     "env algo teacher error seeds episodes oracle delta rate rate_schedule sparsify on_full max_capacity out jobs "
-    "rate_from".split()
+    "rate_from time_step credit credit_longest credit_shape".split()
 )
 """Names of settings that no learner and no teacher can have for its own."""
 

@@ -40,6 +40,11 @@ class BraxEnv(Env):
     def action_size(self) -> int:
         return self.sizes[1]
 
+    @property
+    def time_step(self) -> float:
+        """Seconds of a step."""
+        return float(self.env.dt)
+
     def reset(self, key: PRNGKeyArray) -> State:
         inner = jax.tree.map(_strong, self.env.reset(key))
         return begin(inner, inner.obs.astype(jnp.float64))

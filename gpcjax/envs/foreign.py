@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,20 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
     if prefix == "gym":
         make: Any = functools.partial(HostEnv, full, name, None)
         made: Env | HostEnv = _refusing(full, make)
-        return TaskSpec(full, make, on_host=True, sizes=(made.obs_size, made.action_size))
+        return TaskSpec(full, make, on_host=True, sizes=_sizes_of(made), time_step=_time_step(made))
     make = functools.partial(brax_env, name, name=full)
     made = _refusing(full, make)
-    experts = {}
-    return TaskSpec(full, make, experts=experts, sizes=(made.obs_size, made.action_size))
+    return TaskSpec(full, make, sizes=_sizes_of(made), time_step=_time_step(made))
+
+
+def _sizes_of(env: Env | HostEnv) -> tuple[int, int]:
+    return env.obs_size, env.action_size
+
+
+def _time_step(env: Env | HostEnv) -> float | None:
+    """Seconds of a step, where a task says so: by a number `time_step`, as brax's `dt`, or as gymnasium's frames."""
+    said = getattr(env, "time_step", None)
+    return float(said) if isinstance(said, int | float) and math.isfinite(said) and said > 0 else None
 
 
 def _refusing(name: str, make: Callable[[], Any]) -> Any:
@@ -63,7 +73,8 @@ def task_of(name: str, found: Callable[..., Any]) -> TaskSpec:
         name=name,
         make=_Maker(name, found),
         on_host=isinstance(env, HostEnv),
-        sizes=(env.obs_size, env.action_size),
+        sizes=_sizes_of(env),
+        time_step=_time_step(env),
     )
 
 

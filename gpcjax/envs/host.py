@@ -89,6 +89,12 @@ class HostEnv:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, options=MappingProxyType(state["options"]))
 
+    @property
+    def time_step(self) -> float | None:
+        """Seconds of a step, where the environment says how many frames it shows in one."""
+        frames = (getattr(self._make(), "metadata", None) or {}).get("render_fps")
+        return 1.0 / frames if isinstance(frames, int | float) and frames > 0 else None
+
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
         shape = (-1,) + (1,) * (actions.ndim - 1)

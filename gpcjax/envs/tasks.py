@@ -43,6 +43,7 @@ CARTPOLE = TaskSpec(
     ),
     episodes=30,
     sizes=(4, 1),
+    time_step=0.02,
     presets=MappingProxyType(
         {
             "gpc": _gp(0.01, 0.2, 0.01, 0.2, 1.5, 0.02, scaling=(1.0, 1.0, 1 / 0.13, 1 / 0.4)),
@@ -74,6 +75,7 @@ PENDULUM = TaskSpec(
     ),
     episodes=40,
     sizes=(3, 1),
+    time_step=0.05,
     presets=MappingProxyType(
         {
             "gpc": _gp(0.7, 0.1, 0.01, 0.7, 0.5, 0.01, scaling=(1.0, 1.0, 1 / 6)),
@@ -100,6 +102,7 @@ LUNAR_LANDER = TaskSpec(
     max_capacity=4096,
     on_host=True,
     sizes=(8, 2),
+    time_step=0.02,
     presets=MappingProxyType(
         {
             # Table 5.3 is what holds for GPC and GPC-NS where nothing else is said (`gpcjax.learners.descriptions`).

@@ -14,6 +14,31 @@ ON_FULL = ("error", "replace-nearest", "drop")
 CAPACITY = Numbers(1, 16384, whole=True)
 """Points for which a dictionary may have room from the start."""
 
+CREDIT = (
+    Setting(
+        "credit",
+        "",
+        NON_NEGATIVE,
+        "seconds between a step and the advice about it, as the learner reckons",
+        compiled="value",
+    ),
+    Setting(
+        "credit_longest",
+        "",
+        NON_NEGATIVE,
+        "the advice is about all steps from credit to this many seconds back, in equal parts",
+        compiled="value",
+    ),
+    Setting(
+        "credit_shape",
+        "",
+        POSITIVE,
+        "it is about steps back by the weights of a gamma distribution of this shape, and credit as mean",
+        compiled="value",
+    ),
+)
+"""Settings of every learner: which steps it takes an advice to be about (COACH's credit assigner, section 2.3.1)."""
+
 _SMOOTHNESS = OneOf((0.5, 1.5, 2.5))
 
 _GP = (

@@ -7,15 +7,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
-from gpcjax.engine.pool import Pool, Start, Tier, tiers
+from gpcjax.engine.history import Credit
+from gpcjax.engine.lanes import Start
+from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.errors import UserError
+from gpcjax.lateness import lateness
 from gpcjax.learners.base import Learner
+from gpcjax.learners.descriptions import CREDIT
 from gpcjax.learners.factory import make_learner, sizes_of
 from gpcjax.registry import find, resolve
 from gpcjax.sweep.options import OPTIONS
@@ -32,15 +37,16 @@ _OF_THE_EXPERIMENT = ("rate", "error", "delta")
 
 def start_of(cell: Cell) -> Start:
     """The lane of a cell: its numbers, on the host."""
-    learner, teacher = _parts(dataclasses.replace(cell, seed=0))
-    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed)
+    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0))
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
 
 
 @functools.lru_cache(maxsize=1024)
-def _parts(cell: Cell) -> tuple[Learner, Teacher]:
-    """Learner and teacher of a cell, which all seeds share."""
+def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
+    """Learner, teacher and credit of a cell, which all seeds share."""
     values = dict(cell.hyperparameters)
-    return jax.tree.map(np.asarray, (_learner(cell, values), _teacher(cell, values)))
+    parts = _learner(cell, values), _teacher(cell, values), credit_of(cell.env, values)
+    return jax.tree.map(np.asarray, parts)
 
 
 def _learner(cell: Cell, values: Mapping[str, float]) -> Learner:
@@ -65,12 +71,26 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     names = {setting.name for setting in spec.settings}
     options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
     options |= {name: getattr(cell, name) for name in _OF_THE_EXPERIMENT if name in takes}
+    if "time_step" in takes:
+        options["time_step"] = find("task", cell.env).seconds
     if cell.rate_schedule:
         if "schedule" not in takes:
             raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
         last = cell.rate_schedule[-1:] * cell.episodes
         options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
     return make(**options)
+
+
+def credit_of(env_name: str, values: Mapping[str, float]) -> Credit | None:
+    """How a learner reckons with late advice, of the settings of that (`gpcjax.learners.descriptions.CREDIT`).
+
+    Raises:
+        UserError: they do not fit together.
+    """
+    seconds, longest, shape = (values.get(setting.name) for setting in CREDIT)
+    chances = lateness("credit", seconds, longest, shape, find("task", env_name).seconds)
+    first = next(index for index, chance in enumerate(chances) if chance > 0)
+    return None if len(chances) == 1 else Credit(weights=jnp.asarray(chances[first:]), first=first)
 
 
 def make_pool(cell: Cell) -> Pool:

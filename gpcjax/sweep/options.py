@@ -29,7 +29,7 @@ from gpcjax.allowed import (
 )
 from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
-from gpcjax.learners.descriptions import CAPACITY, ON_FULL
+from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
 from gpcjax.registry import Kind, built_in, find
 
 LARGEST = int(COUNT.high)
@@ -143,11 +143,10 @@ VARIANTS = (
 def settings_of(
     learners: Iterable[LearnerSpec], teachers: Iterable[TeacherSpec]
 ) -> dict[str, tuple[Setting, ...]]:
-    """The settings of these by name, each as those declare it that have it."""
+    """The settings of these and of all learners by name, each as those declare it that have it."""
     found: dict[str, tuple[Setting, ...]] = {}
-    for spec in (*learners, *teachers):
-        for setting in spec.settings:
-            found[setting.name] = (*found.get(setting.name, ()), setting)
+    for setting in (*(each for spec in (*learners, *teachers) for each in spec.settings), *CREDIT):
+        found[setting.name] = (*found.get(setting.name, ()), setting)
     return found
 
 
@@ -177,7 +176,7 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     """Whether a setting changes anything for a learner with a teacher."""
     if name in {option.name for option in VARIANTS}:
         return learner.dictionary
-    mine = {setting.name for setting in learner.settings}
+    mine = {setting.name for setting in (*learner.settings, *CREDIT)}
     theirs = {setting.name for setting in teacher.settings if learner.uncertain or not setting.uncertain}
     return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
 

@@ -9,15 +9,15 @@ from gpcjax.describe import TeacherSpec, settings_from
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.teachers.base import Teacher
 
-_OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05}
+_OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05, "time_step": 1.0}
 """Settings of every sweep that a teacher may take."""
 
 
 def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
     """The description of a teacher of a person's own: a class, or a function, that makes it from its settings.
 
-    It is made once, to see what it is. Arguments with a number as their default become settings; `rate`, `error` and
-    `delta` are those of the sweep.
+    It is made once, to see what it is. Arguments with a number as their default become settings; `rate`, `error`
+    and `delta` are those of the sweep, `time_step` the task's (seconds).
 
     Raises:
         UserError: what it makes is no teacher, or it has a setting of every sweep's name.

@@ -165,12 +165,9 @@ def synthesised(
         UserError: numbers that do not fit together.
     """
     numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
-    if delay is None and (delay_longest, delay_shape) != (None, None):
-        word = "delay_longest" if delay_longest is not None else "delay_shape"
-        raise UserError(f"{word}: without delay it changes nothing, give both")
     if attention is None and distraction is not None:
         raise UserError("distraction: without attention it changes nothing, give both")
-    late = () if delay is None else lateness("delay", delay, delay_longest, delay_shape, time_step)
+    late = lateness("delay", delay, delay_longest, delay_shape, time_step)
     spells = (attention, attention if distraction is None else distraction)
     away, back = (None if spell is None else -math.expm1(-time_step / spell) for spell in spells)
     values = {"schedule": schedule, "looks_away": away, "looks_back": back, "fading": fading, **numbers}
