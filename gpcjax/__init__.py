@@ -15,6 +15,7 @@ _PUBLIC = {
     "LearnerSpec": "gpcjax.describe:LearnerSpec",
     "Moment": "gpcjax.moment:Moment",
     "Oracle": "gpcjax.teachers.oracle:Oracle",
+    "Session": "gpcjax.engine.session:Session",
     "Setting": "gpcjax.describe:Setting",
     "State": "gpcjax.envs.base:State",
     "TaskSpec": "gpcjax.describe:TaskSpec",
@@ -66,6 +67,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "brax_env",
     "parameter",
     "Learner",
+    "Session",
     "Moment",
     "Info",
     "Controller",
@@ -81,6 +83,7 @@ TYPE_CHECKING = False  # type checkers know it by this name; importing typing ta
 if TYPE_CHECKING:
     from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
     from gpcjax.engine.evaluate import evaluate
+    from gpcjax.engine.session import Session
     from gpcjax.envs.base import Env, State, parameter
     from gpcjax.envs.brax_adapter import brax_env
     from gpcjax.envs.host import HostEnv

@@ -164,6 +164,7 @@ class TeacherSpec:
     | `settings`     | numbers that a sweep may vary                                                |
     | `needs_expert` | it aims at the actions of an expert                                          |
     | `label`        | as reports write it                                                          |
+    | `action_size`  | of the tasks that it teaches; None is any                                    |
     """
 
     name: str
@@ -171,6 +172,7 @@ class TeacherSpec:
     settings: tuple[Setting, ...] = ()
     needs_expert: bool = True
     label: str = ""
+    action_size: int | None = None
 
     @property
     def title(self) -> str:

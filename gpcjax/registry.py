@@ -89,6 +89,8 @@ def _elsewhere(kind: Kind, name: str, where: str) -> Spec:
     prefix, colon, rest = name.partition(":")
     if colon and kind == "task" and prefix in ("gym", "brax"):
         return resolve("gpcjax.envs.foreign:described_elsewhere")(prefix, rest)
+    if colon and kind == "teacher" and prefix == "replay":
+        return resolve("gpcjax.teachers.replay:described_record")(rest, where)
     if colon:
         return described(kind, name, imported(name, f"{where} {name}"))
     if name in _entry_points(kind):
@@ -190,5 +192,6 @@ def _entry_points(kind: Kind) -> Mapping[str, importlib.metadata.EntryPoint]:
 
 
 def _choices(kind: Kind) -> str:
-    *first, last = [*names(kind), "module:NAME", *(("gym:ID", "brax:NAME") if kind == "task" else ())]
+    more = {"task": ("gym:ID", "brax:NAME"), "teacher": ("replay:FILE",)}.get(kind, ())
+    *first, last = [*names(kind), "module:NAME", *more]
     return f"{', '.join(first)} or {last}"

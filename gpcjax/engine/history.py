@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from gpcjax.lateness import lateness
 from gpcjax.moment import Moment
 
 
@@ -18,6 +19,19 @@ class Credit(eqx.Module):
 
     weights: Float[Array, "moments *lanes"]
     first: int = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls, seconds: float | None, longest: float | None, shape: float | None, time_step: float
+    ) -> "Credit | None":
+        """Of the settings `credit`, `credit_longest` and `credit_shape`; None if all advice is about the present step.
+
+        Raises:
+            UserError: they do not fit together (`gpcjax.lateness`).
+        """
+        chances = lateness("credit", seconds, longest, shape, time_step)
+        first = next(index for index, chance in enumerate(chances) if chance > 0)
+        return None if len(chances) == 1 else cls(weights=jnp.asarray(chances[first:]), first=first)
 
     @property
     def moments(self) -> int:

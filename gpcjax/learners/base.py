@@ -197,6 +197,11 @@ class Learner(ByIdentity):
         return state
 
     @property
+    def wants_room(self) -> bool:
+        """Whether a host should give it more room (`grow`) rather than let it meet a full dictionary."""
+        return True
+
+    @property
     def goes_on_when_full(self) -> bool:
         """Whether a run goes on after a correction that was refused for want of room (`Status.FULL`)."""
         return False

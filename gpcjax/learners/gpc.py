@@ -112,6 +112,10 @@ class GPC(Learner):
         return jnp.sqrt(self.human.kernel.variance + self.human.noise)
 
     @property
+    def wants_room(self) -> bool:
+        return self.on_full == "error"
+
+    @property
     def goes_on_when_full(self) -> bool:
         return self.on_full == "drop"
 

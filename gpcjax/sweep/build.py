@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gpcjax._x64 import under_own_settings
@@ -18,7 +17,6 @@ from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.errors import UserError
-from gpcjax.lateness import lateness
 from gpcjax.learners.base import Learner
 from gpcjax.learners.descriptions import CREDIT
 from gpcjax.learners.factory import make_learner, sizes_of
@@ -45,8 +43,9 @@ def start_of(cell: Cell) -> Start:
 def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
     """Learner, teacher and credit of a cell, which all seeds share."""
     values = dict(cell.hyperparameters)
-    parts = _learner(cell, values), _teacher(cell, values), credit_of(cell.env, values)
-    return jax.tree.map(np.asarray, parts)
+    seconds, longest, shape = (values.get(setting.name) for setting in CREDIT)
+    credit = Credit.of(seconds, longest, shape, find("task", cell.env).seconds)
+    return jax.tree.map(np.asarray, (_learner(cell, values), _teacher(cell, values), credit))
 
 
 def _learner(cell: Cell, values: Mapping[str, float]) -> Learner:
@@ -79,18 +78,6 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
         last = cell.rate_schedule[-1:] * cell.episodes
         options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
     return make(**options)
-
-
-def credit_of(env_name: str, values: Mapping[str, float]) -> Credit | None:
-    """How a learner reckons with late advice, of the settings of that (`gpcjax.learners.descriptions.CREDIT`).
-
-    Raises:
-        UserError: they do not fit together.
-    """
-    seconds, longest, shape = (values.get(setting.name) for setting in CREDIT)
-    chances = lateness("credit", seconds, longest, shape, find("task", env_name).seconds)
-    first = next(index for index, chance in enumerate(chances) if chance > 0)
-    return None if len(chances) == 1 else Credit(weights=jnp.asarray(chances[first:]), first=first)
 
 
 def make_pool(cell: Cell) -> Pool:

@@ -197,6 +197,11 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     known = {name: _known(name, setting, own) for name, setting in given.items()}
     known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}
     value = {name: setting.value for name, setting in known.items()}
+    if teacher.action_size is not None and task.sizes and task.sizes[1] != teacher.action_size:
+        raise UserError(
+            f"teacher {teacher.name}: it advises on {teacher.action_size} action dimensions, "
+            f"{task.name} has {task.sizes[1]}"
+        )
     for oracle in value.get("oracle", ()):
         check_expert(task.name, oracle, known["oracle"].where)
     if "oracle" not in value and not task.experts:

@@ -1,0 +1,105 @@
+"""What happens in a session, a line of JSON for each event: kept at once, and read back to the bit.
+
+The first line has the session's settings, each further one an event with its `episode` and `step` (from 0):
+
+| `event`    | values   | Meaning                                                  |
+|------------|----------|----------------------------------------------------------|
+| `propose`  | `obs`    | a step began                                             |
+| `executed` | `action` | what was executed there, where that is not what was proposed |
+| `advise`   | `advice` | h, -1, 0 or 1 for each action dimension                  |
+| `undo`     |          | the latest advice was taken back                         |
+| `end`      |          | the next step begins a new episode                       |
+
+Numbers are written with all their digits.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from gpcjax.allowed import checked_path
+from gpcjax.errors import UserError
+
+FORMAT = 1
+EVENTS = ("propose", "executed", "advise", "undo", "end")
+
+
+class Recording:
+    """A file that events are appended to, each written through to the operating system before `append` returns."""
+
+    def __init__(self, file: IO[str]):
+        self._file = file
+
+    @classmethod
+    def new(cls, path: Any, settings: Mapping[str, Any]) -> "Recording":
+        """Begins a file. Raises UserError: there is something at `path`, or nothing can be written there."""
+        path = checked_path("record", path)
+        if os.path.lexists(path):
+            raise UserError(
+                f"record {path}: it exists, give another path, or Session.replay to go on with it"
+            )
+        recording = cls(_opened(path, "x"))
+        recording.append({"format": FORMAT, "settings": dict(settings)})
+        return recording
+
+    @classmethod
+    def again(cls, path: Any) -> "Recording":
+        """Goes on with a file that was read; a line that its program did not finish is taken away."""
+        path = checked_path("record", path)
+        content = path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole != content:
+            os.truncate(path, len(whole))
+        return cls(_opened(path, "a"))
+
+    def append(self, event: Mapping[str, Any]) -> None:
+        """Writes one event."""
+        self._file.write(json.dumps(event, allow_nan=False) + "\n")
+        self._file.flush()
+
+    @staticmethod
+    def read(path: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """The settings and the events of a file; a last line that was not finished is left out.
+
+        Raises:
+            UserError: it cannot be read, or is no recording; the message names the line.
+        """
+        path = checked_path("record", path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "this is no text"
+            raise UserError(f"{path}: it cannot be read ({reason}), give the record of a session") from None
+        lines = text.split("\n")[:-1]
+        parsed = [_parsed(path, number, line) for number, line in enumerate(lines, 1)]
+        if not parsed or parsed[0].get("format") != FORMAT or not isinstance(parsed[0].get("settings"), dict):
+            raise UserError(f"{path}: this is no record of a session, or one of another format")
+        for number, event in enumerate(parsed[1:], 2):
+            if event.get("event") not in EVENTS or not _counted(event):
+                raise UserError(f"{path}, line {number}: this is no event of a session")
+        return parsed[0]["settings"], parsed[1:]
+
+
+def _opened(path: Path, mode: str) -> IO[str]:
+    try:
+        return open(path, mode, encoding="utf-8")
+    except OSError as error:
+        raise UserError(
+            f"record {path}: it cannot be written ({error.strerror}), give another path"
+        ) from None
+
+
+def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise UserError(f"{path}, line {number}: this is no record of a session")
+    return value
+
+
+def _counted(event: Mapping[str, Any]) -> bool:
+    return all(type(event.get(name)) is int and event[name] >= -1 for name in ("episode", "step"))
