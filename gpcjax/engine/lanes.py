@@ -179,7 +179,7 @@ def fresh(
     """A lane at the start `env` of its first episode, its learner idle."""
     depth = max(teacher.reach, 0 if credit is None else credit.reach)
     zero = jnp.zeros((), jnp.int32)
-    state = learner.init(streams.first_key(seed)) if learner.joint else learner.init()
+    state = learner.init(streams.first_key(seed))
     rows = jnp.zeros(episodes, jnp.int32)
     return Lane(
         learner=learner,
@@ -215,7 +215,7 @@ def fresh(
             values=jnp.zeros((LOGGED_CORRECTIONS, 3)),
             outcome=jnp.zeros((LOGGED_CORRECTIONS, 3), bool),
         ),
-        memory=teacher.init() if teacher.watches else (),
+        memory=jax.tree.map(jnp.asarray, teacher.init()) if teacher.watches else (),
         history=History.empty(depth, learner.obs_size, learner.action_size),
         credit=credit,
     )

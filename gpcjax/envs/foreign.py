@@ -7,15 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax import registry
 from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
-from gpcjax.envs.base import Env
+from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
-from gpcjax.envs.host import HostEnv
+from gpcjax.envs.host import UNLIMITED, HostEnv
 from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
 
@@ -112,32 +114,60 @@ def _adapted(name: str, thing: Any) -> Env | HostEnv:
         return _refusing(name, lambda: brax_env(thing, name=name))
     if "gymnasium" in kinds:
         return HostEnv(name, type(thing), None)
+    if all(callable(getattr(thing, method, None)) for method in ("reset", "step")) and hasattr(
+        thing, "obs_size"
+    ):
+        # Of a class of its own, which messages name.
+        return type(type(thing).__name__, (Alike,), {})(thing)
     raise UserError(
         f"env {name}: {shown(thing)} is no task, give a class with reset and step (gpcjax.Env), a task of gymnasium "
         "or brax, or a function that makes one"
     )
 
 
+class Alike(Env):
+    """A task that is no `gpcjax.Env`, but has its methods: `reset(key)` and `step(state, action)` give a `State`.
+
+    It has `obs_size` and `action_size`; without `max_steps` an episode has 1,000 at most.
+    """
+
+    task: Any = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True, init=False)
+
+    def __post_init__(self) -> None:
+        self.max_steps = getattr(self.task, "max_steps", UNLIMITED)
+
+    @property
+    def name(self) -> str:
+        return type(self.task).__name__
+
+    @property
+    def obs_size(self) -> int:
+        return self.task.obs_size
+
+    @property
+    def action_size(self) -> int:
+        return self.task.action_size
+
+    def reset(self, key: PRNGKeyArray) -> State:
+        return self.task.reset(key)
+
+    def step(self, state: State, action: Float[Array, " action"]) -> State:
+        return self.task.step(state, action)
+
+
 def _check(where: str, env: Env) -> None:
     """Traces a reset and a step, so that a mistake shows before anything is compiled."""
     try:
         sizes = env.obs_size, env.action_size, env.max_steps
-        state = jax.eval_shape(env.reset, jax.random.key(0))
-        after = jax.eval_shape(env.step, state, jax.ShapeDtypeStruct((env.action_size,), float))
-    except UserError:
-        raise
+        if not all(isinstance(size, int) and size >= 1 for size in sizes):
+            raise UserError(f"obs_size, action_size and max_steps must be whole numbers, got {sizes}")
+        action = jax.ShapeDtypeStruct((env.action_size,), float)
+        jax.eval_shape(lambda action: stepped(env, started(env, jax.random.key(0)), action), action)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
     except Exception as error:
         raise ForeignError(f"{where}: its reset or its step fails", error) from None
-    if not all(isinstance(size, int) and size >= 1 for size in sizes):
-        raise UserError(f"{where}: obs_size, action_size and max_steps must be whole numbers, got {sizes}")
-    describe = lambda tree: jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)  # noqa: E731
-    if describe(state) != describe(after):
-        for field in vars(state):
-            before, now = describe(getattr(state, field)), describe(getattr(after, field))
-            if before != now:
-                raise UserError(f"{where}: its reset gives {field} {before}, its step {now}: they must agree")
-    if state.obs.shape != (env.obs_size,):
-        raise UserError(f"{where}: obs has shape {state.obs.shape}, obs_size says ({env.obs_size},)")
 
 
 def expert(env_name: str, name: str) -> Callable[[Any], Any]:

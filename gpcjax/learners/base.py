@@ -329,7 +329,7 @@ def _correct(
 
 def _check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
-    expected = jax.eval_shape(lambda: learner.init())
+    expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
     alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
         getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
         for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
@@ -343,7 +343,7 @@ def _check_precision(learner: Learner, state: State) -> None:
     _check_state(learner, state)
     given, kept = (
         {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
-        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init()))
+        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(jax.random.key(0))))
     )
     if given - kept:
         raise ValueError(
