@@ -202,13 +202,13 @@ def test_nothing_prints_the_help(capsys):
 
 
 BAD = [
-    ("--env foo", "--env 'foo': give cartpole, pendulum, lunarlander or mountaincar"),
+    ("--env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
     (
         "--env cartpol",
-        "--env 'cartpol': give cartpole, pendulum, lunarlander or mountaincar (did you mean cartpole?)",
+        "--env 'cartpol': give cartpole, pendulum or lunarlander (did you mean cartpole?)",
     ),
-    ("--env=", "--env '': an empty value, give cartpole, pendulum, lunarlander or mountaincar"),
-    ("", "no env: give cartpole, pendulum, lunarlander or mountaincar"),
+    ("--env=", "--env '': an empty value, give cartpole, pendulum or lunarlander"),
+    ("", "no env: give cartpole, pendulum or lunarlander"),
     ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns or coach"),
     ("--env cartpole --error 1.5", "--error 1.5: give a number from 0 to 1"),
     ("--env cartpole --error 0,nan", "--error nan: give a number from 0 to 1"),
@@ -259,7 +259,7 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report .", "manifest.json: cannot be read (No such file or directory)"),
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
         ("report --out a", "'--out' is no flag: give --help"),
-        ("oracles --env foo", "--env 'foo': give cartpole, pendulum, lunarlander or mountaincar"),
+        ("oracles --env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
         (
             "reproduce --only foo",
             "--only 'foo': give illustrations, pendulum, cartpole, active, oracles, lander",
@@ -306,7 +306,7 @@ def test_a_mistake_with_another_command_is_one_line(words, message, calls, capsy
             "a.toml: oracle 'lqr': give gpc or energy or network or mpc for pendulum",
         ),
         ('[sweep]\nenv = "pendulum"', "a.toml: 'sweep' is no setting"),
-        ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole, pendulum, lunarlander or mountaincar"),
+        ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole, pendulum or lunarlander"),
         ("\udcff", "a.toml: this is not a text file in UTF-8"),
     ],
 )
@@ -395,7 +395,7 @@ def test_the_module_is_the_command():
     command = [sys.executable, "-m", "gpcjax", "sweep", "--env", "foo"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=Path(gpcjax.__file__).parents[1])
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "gpcjax: error: --env 'foo': give cartpole, pendulum, lunarlander or mountaincar\n"
+    assert done.stderr == "gpcjax: error: --env 'foo': give cartpole, pendulum or lunarlander\n"
 
 
 def test_argparse_gives_no_help_with_a_percent_sign():

@@ -94,6 +94,12 @@ def test_unknown_names() -> None:
         make_env("pendulum", max_steps=0)
 
 
+@pytest.mark.parametrize("name", ["9" * 400, "~nobody-of-this-name/policy", "a\0b", ""])
+def test_a_name_that_no_folder_could_have(name: str) -> None:
+    with pytest.raises(ValueError, match=r"oracle '.*: give gpc, gpc-2, .* the folder of a saved policy"):
+        make_expert("cartpole", name)
+
+
 def test_import_loads_no_jax() -> None:
     code = (
         "import sys; from gpcjax.envs.registry import expert_names\n"
