@@ -171,7 +171,10 @@ def test_report_and_oracles(calls, capsys):
     assert cli.main(["oracles"]) == 0
     assert cli.main(["oracles", "--env", "pendulum,pendulum"]) == 0
     module = "gpcjax.sweep.oracles"
-    assert calls.built == [(module, "cartpole", "pendulum", "lunarlander"), (module, "pendulum")]
+    assert calls.built == [
+        (module, "cartpole", "pendulum", "lunarlander", "mountaincar"),
+        (module, "pendulum"),
+    ]
 
 
 @pytest.mark.parametrize("words", [["--version"], ["version"]])
@@ -200,7 +203,10 @@ def test_nothing_prints_the_help(capsys):
 
 BAD = [
     ("--env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
-    ("--env cartpol", "--env 'cartpol': give cartpole, pendulum or lunarlander (did you mean cartpole?)"),
+    (
+        "--env cartpol",
+        "--env 'cartpol': give cartpole, pendulum or lunarlander (did you mean cartpole?)",
+    ),
     ("--env=", "--env '': an empty value, give cartpole, pendulum or lunarlander"),
     ("", "no env: give cartpole, pendulum or lunarlander"),
     ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns or coach"),

@@ -68,7 +68,7 @@ def test_by_an_entry_point_alone_it_has_the_same_bits(both, tmp_path):
 
 def test_names():
     assert "drift" in registry.names("task") and "linear" in registry.names("learner")
-    assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander")
+    assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander", "mountaincar")
 
 
 def test_from_python():

@@ -182,19 +182,24 @@ def parameter(value: Any) -> Scalar:
     return jnp.asarray(value, jnp.float64)
 
 
-def check_parameters(env: Env, *, may_be_zero: tuple[str, ...] = ()) -> None:
+def check_parameters(
+    env: Env, *, may_be_zero: tuple[str, ...] = (), may_be_negative: tuple[str, ...] = ()
+) -> None:
     """Refuse what no physics has. Traced values cannot be looked at and pass.
 
     Raises:
-        ValueError: a parameter is not finite or not above zero (a few may be zero), or `max_steps` is no
-            whole number of at least 1.
+        ValueError: a parameter is not finite or not above zero (a few may be zero, or of any sign), or `max_steps` is
+            no whole number of at least 1.
     """
     checked(f"{env.name}: max_steps", env.max_steps, int, STEPS)
     for name, value in vars(env).items():
         if name == "max_steps" or isinstance(value, Tracer):
             continue
-        concrete, zero = np.asarray(value), name in may_be_zero
-        if not (np.isfinite(concrete) & ((concrete >= 0) if zero else (concrete > 0))).all():
-            raise UserError(
-                f"{env.name}: {name} must be finite and {'>= 0' if zero else '> 0'}, got {concrete}"
-            )
+        concrete, least = np.asarray(value), ""
+        possible = np.isfinite(concrete)
+        if name in may_be_zero:
+            possible, least = possible & (concrete >= 0), " and >= 0"
+        elif name not in may_be_negative:
+            possible, least = possible & (concrete > 0), " and > 0"
+        if not possible.all():
+            raise UserError(f"{env.name}: {name} must be finite{least}, got {concrete}")

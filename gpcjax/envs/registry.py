@@ -1,7 +1,7 @@
 """Tasks and their experts by name. Loads no jax: what a name stands for is imported when it is made."""
 
 import inspect
-from pathlib import Path
+import os
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from gpcjax import registry
@@ -120,8 +120,8 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
 
 
 def is_folder(name: str) -> bool:
-    """Whether a name of an expert is that of a folder."""
-    return Path(name).expanduser().is_dir()
+    """Whether a name of an expert is that of a folder. A name that no file system takes is none."""
+    return os.path.isdir(os.path.expanduser(name))
 
 
 def _is_elsewhere(name: str) -> bool:

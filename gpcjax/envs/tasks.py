@@ -118,4 +118,28 @@ LUNAR_LANDER = TaskSpec(
     ),
 )
 
-TASKS = (CARTPOLE, PENDULUM, LUNAR_LANDER)
+MOUNTAIN_CAR = TaskSpec(
+    name="mountaincar",
+    make="gpcjax.envs.mountaincar:MountainCar",
+    label="Mountain car",
+    unit="100 at the goal, less effort",
+    experts=MappingProxyType({"pump": ("gpcjax.envs.experts:ValleyPump",)}),
+    episodes=30,
+    sizes=(2, 1),
+    presets=MappingProxyType(
+        {
+            "gpc": _gp(0.01, 0.2, 0.01, 0.4, 1.5, 0.02, scaling=(1 / 0.5, 1 / 0.04)),
+            "gpc-ns": _gp(0.08, 0.2, 1e-3, 0.6, 1.5, 0.05),
+            "coach": {
+                "lower": (-1.2, -0.07),
+                "counts": (6, 7),
+                "upper": (0.6, 0.07),
+                "beta": 30.0,
+                "magnitude": 5.0,
+                "coach_constant": 1.8,
+            },
+        }
+    ),
+)
+
+TASKS = (CARTPOLE, PENDULUM, LUNAR_LANDER, MOUNTAIN_CAR)

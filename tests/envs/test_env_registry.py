@@ -9,7 +9,7 @@ import pytest
 
 from gpcjax.envs.base import Env
 from gpcjax.envs.cartpole import CartPole
-from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic
+from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic, ValleyPump
 from gpcjax.envs.host import HostEnv
 from gpcjax.envs.predictive import CartPoleMPC, PendulumMPC
 from gpcjax.envs.registry import (
@@ -49,6 +49,7 @@ def test_parameters_reach_the_env() -> None:
         ("pendulum", "mpc", PendulumMPC),
         ("pendulum", "network", Policy),
         ("lunarlander", "heuristic", LanderHeuristic),
+        ("mountaincar", "pump", ValleyPump),
     ],
 )
 def test_make_expert(env_name: str, expert: str, kind: type) -> None:
@@ -57,12 +58,13 @@ def test_make_expert(env_name: str, expert: str, kind: type) -> None:
 
 def test_names() -> None:
     """The default expert of a task comes first."""
-    assert env_names() == ("cartpole", "pendulum", "lunarlander")
+    assert env_names() == ("cartpole", "pendulum", "lunarlander", "mountaincar")
     assert expert_names("cartpole") == ("gpc", "gpc-2", "gpc-3", "lqr", "network", "mpc")
     assert expert_names("pendulum") == ("gpc", "energy", "network", "mpc")
     assert expert_names("lunarlander") == ("heuristic",)
-    assert [task(name).episodes for name in env_names()] == [30, 40, 200]
-    assert [task(name).max_capacity for name in env_names()] == [1024, 1024, 4096]
+    assert expert_names("mountaincar") == ("pump",)
+    assert [task(name).episodes for name in env_names()] == [30, 40, 200, 30]
+    assert [task(name).max_capacity for name in env_names()] == [1024, 1024, 4096, 1024]
 
 
 def test_targets_are_well_formed() -> None:
@@ -73,7 +75,9 @@ def test_targets_are_well_formed() -> None:
 
 
 def test_unknown_names() -> None:
-    unknown = "env 'cartpol': give cartpole, pendulum, lunarlander, module:NAME, gym:ID or brax:NAME"
+    unknown = (
+        "env 'cartpol': give cartpole, pendulum, lunarlander, mountaincar, module:NAME, gym:ID or brax:NAME"
+    )
     for call in (make_env, expert_names, task, lambda name: make_expert(name, "lqr")):
         with pytest.raises(ValueError, match=unknown):
             call("cartpol")
@@ -88,6 +92,12 @@ def test_unknown_names() -> None:
         make_env("lunarlander", gravity=-5.0)
     with pytest.raises(ValueError, match="pendulum: max_steps 0: give a whole number from 1"):
         make_env("pendulum", max_steps=0)
+
+
+@pytest.mark.parametrize("name", ["9" * 400, "~nobody-of-this-name/policy", "a\0b", ""])
+def test_a_name_that_no_folder_could_have(name: str) -> None:
+    with pytest.raises(ValueError, match=r"oracle '.*: give gpc, gpc-2, .* the folder of a saved policy"):
+        make_expert("cartpole", name)
 
 
 def test_import_loads_no_jax() -> None:

@@ -19,11 +19,12 @@ from gpcjax.sweep.spec import LARGEST_FILE, SweepSpec
 COUNT = 2000
 """Specifications of each kind, flags and TOML."""
 
-ENVS = ("cartpole", "pendulum", "lunarlander")
+ENVS = ("cartpole", "pendulum", "lunarlander", "mountaincar")
 EXPERTS = {
     "cartpole": {"gpc", "gpc-2", "gpc-3", "lqr"},
     "pendulum": {"gpc", "energy"},
     "lunarlander": {"heuristic"},
+    "mountaincar": {"pump"},
 }
 POSITIVE = (
     "policy_length_scale policy_variance human_length_scale human_variance static_rate noise beta magnitude"
@@ -40,7 +41,7 @@ NAMES = sorted(NUMBERS | WHOLE | WORDS | {"sparsify"})
 GOOD = {
     "env": ENVS,
     "algo": ("gpc", "gpc-ns", "coach", "gpc,coach"),
-    "oracle": ("gpc", "lqr", "energy", "heuristic"),
+    "oracle": ("gpc", "lqr", "energy", "heuristic", "pump"),
     "on_full": ("error", "replace-nearest", "drop"),
     "out": ("here", "a b", "~/x", "-", "é"),
     "rate_from": ("there",),

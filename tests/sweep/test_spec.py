@@ -117,10 +117,10 @@ def test_as_dict_is_json():
 
 
 REFUSED = [
-    ({}, "no env: give cartpole, pendulum, lunarlander or module:NAME"),
+    ({}, "no env: give cartpole, pendulum, lunarlander, mountaincar or module:NAME"),
     (
         {"env": "carpole"},
-        "env 'carpole': give cartpole, pendulum, lunarlander, module:NAME",
+        "env 'carpole': give cartpole, pendulum, lunarlander, mountaincar, module:NAME",
     ),
     ({"env": ""}, "env '': an empty value"),
     ({"env": ["cartpole"]}, "env ['cartpole']: give cartpole"),
