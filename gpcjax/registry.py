@@ -191,7 +191,12 @@ def _entry_points(kind: Kind) -> Mapping[str, importlib.metadata.EntryPoint]:
     return {point.name: point for point in found}
 
 
-def _choices(kind: Kind) -> str:
+def choices(kind: Kind, known: Iterable[str]) -> str:
+    """What may be given as a name of this kind, in words; `known` are those that can be listed."""
     more = {"task": ("gym:ID", "brax:NAME"), "teacher": ("replay:FILE",)}.get(kind, ())
-    *first, last = [*names(kind), "module:NAME", *more]
+    *first, last = [*known, "module:NAME", *more]
     return f"{', '.join(first)} or {last}"
+
+
+def _choices(kind: Kind) -> str:
+    return choices(kind, names(kind))

@@ -1,5 +1,6 @@
 """docs/extending.md, as a reader would follow it: its files are written, its commands typed, its loop run."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import gpcjax
 from gpcjax.sweep.store import read_episodes
 
 PAGE = (Path(__file__).parent.parent / "docs" / "extending.md").read_text()
@@ -25,8 +27,15 @@ def folder(tmp_path_factory):
 
 
 def run(folder, *words):
+    ours = os.environ | {"PYTHONPATH": str(Path(gpcjax.__file__).parents[1])}
     done = subprocess.run(
-        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, *words],
+        cwd=folder,
+        env=ours,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -88,7 +88,13 @@ def check_expert(env_name: str, expert_name: Any, where: str) -> None:
         UserError: no name of an expert of the task, no folder, no `module:function`. `where` begins the message.
     """
     experts = task(env_name).experts
-    if isinstance(expert_name, str) and (expert_name in experts or _is_elsewhere(expert_name)):
+    if isinstance(expert_name, str) and expert_name not in experts and is_folder(expert_name):
+        if not os.path.exists(os.path.join(os.path.expanduser(expert_name), "card.json")):
+            raise UserError(
+                f"{where} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
+            )
+        return
+    if isinstance(expert_name, str) and (expert_name in experts or ":" in expert_name):
         return
     others = [*experts, "the folder of a saved policy", "module:function"]
     raise UserError(

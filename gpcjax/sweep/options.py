@@ -30,7 +30,7 @@ from gpcjax.allowed import (
 from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
-from gpcjax.registry import Kind, built_in, find
+from gpcjax.registry import Kind, built_in, choices, find
 
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
@@ -91,7 +91,7 @@ def _by_task(default: Callable[[TaskSpec], object]) -> str:
 
 
 def _named(kind: Kind) -> Anything:
-    return Anything(f"{', '.join(built_in(kind))} or module:NAME")
+    return Anything(choices(kind, built_in(kind)))
 
 
 def option_of(setting: Setting) -> Option:

@@ -123,13 +123,13 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        (("gcp", "cartpole"), {}, "algo 'gcp' is not known.*: choose one of gpc, gpc-ns, coach"),
+        (("gcp", "cartpole"), {}, "algo 'gcp': give gpc, gpc-ns, coach .*did you mean gpc"),
         (
             ("gpc", "cartpol"),
             {},
-            "env 'cartpol' has no table: choose pendulum, cartpole, lunarlander, or give obs_size",
+            "env 'cartpol': give cartpole, pendulum, .*did you mean cartpole",
         ),
-        (("gpc",), {}, "obs_size and action_size missing: give sizes, or one of the envs"),
+        (("gpc",), {}, "obs_size and action_size missing: give sizes, or a task's name, one of cartpole"),
         (("gpc",), {"obs_size": 3}, "action_size missing"),
         (("gpc",), {"obs_size": 0, "action_size": 1}, "obs_size 0: give a whole number from 1"),
         (("gpc",), {"obs_size": 2.5, "action_size": 1}, "obs_size 2.5: give a whole number"),

@@ -27,10 +27,12 @@ EXPERTS = {
     "mountaincar": {"pump"},
 }
 POSITIVE = (
-    "policy_length_scale policy_variance human_length_scale human_variance static_rate noise beta magnitude"
+    "policy_length_scale policy_variance human_length_scale human_variance static_rate noise beta magnitude "
+    "delay_shape attention distraction credit_shape"
 )
 POSITIVE = frozenset(POSITIVE.split())
-FROM_ZERO = frozenset({"constant_rate", "active_gain", "coach_constant"})
+FROM_ZERO = "constant_rate active_gain coach_constant delay delay_longest fading credit credit_longest"
+FROM_ZERO = frozenset(FROM_ZERO.split())
 LISTS = ("algo", "error", "oracle", "delta", "rate", *POSITIVE, *FROM_ZERO, "policy_nu")
 SERIES = "rate_schedule"
 NUMBERS = {"error", "delta", "rate", "rate_schedule", "policy_nu", *POSITIVE, *FROM_ZERO}

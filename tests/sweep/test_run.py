@@ -404,7 +404,7 @@ def test_what_kills_leave_is_removed(tmp_path, pretend):
         ({"seeds": 0}, "seeds 0"),
         (
             {"oracle": "energy"},
-            "oracle .*'energy'.*: give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
+            "oracle .*'energy'.*: give gpc, gpc-2, gpc-3, lqr, network, mpc, .* for cartpole",
         ),
         ({"nosie": 1}, "'nosie' is no setting .did you mean noise"),
     ],

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gpcjax.envs.tasks import TASKS
 from gpcjax.errors import UserError
-from gpcjax.learners.descriptions import LEARNERS
+from gpcjax.learners.descriptions import CREDIT, LEARNERS
 from gpcjax.registry import find
 from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, accept, parse
 from gpcjax.sweep.spec import SweepSpec, as_dict, make_spec, read_toml, spec_of
@@ -39,6 +39,7 @@ def test_the_table_and_the_specification_have_the_same_settings():
     names = {option.name for option in EXPERIMENT + VARIANTS}
     assert names == {field.name for field in fields(SweepSpec)} - {"hyperparameters"}
     settings = {each.name for spec in (*LEARNERS, find("teacher", "oracle")) for each in spec.settings}
+    settings |= {each.name for each in CREDIT}
     assert {option.name for option in TUNING} == settings
     assert set(OPTIONS) == names | settings | {option.name for option in RUNNING}
 
@@ -117,7 +118,7 @@ def test_as_dict_is_json():
 
 
 REFUSED = [
-    ({}, "no env: give cartpole, pendulum, lunarlander, mountaincar or module:NAME"),
+    ({}, "no env: give cartpole, pendulum, lunarlander, mountaincar, module:NAME, gym:ID"),
     (
         {"env": "carpole"},
         "env 'carpole': give cartpole, pendulum, lunarlander, mountaincar, module:NAME",
