@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-# Blue, vermilion and green of Okabe and Ito (2008): told apart with any colour vision.
-ALGORITHM_COLOURS = {"gpc": "#0072B2", "gpc-ns": "#D55E00", "coach": "#009E73"}
-OTHER_COLOUR = "#CC79A7"
+# Blue, vermilion, green, purple and, for others, orange of Okabe and Ito (2008): told apart with any colour vision.
+ALGORITHM_COLOURS = {"gpc": "#0072B2", "gpc-ns": "#D55E00", "coach": "#009E73", "d-coach": "#CC79A7"}
+OTHER_COLOUR = "#E69F00"
 ORACLE_COLOUR = "#333333"
 IDLE_COLOUR = "#777777"
 INK = "#222222"
