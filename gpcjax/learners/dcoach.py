@@ -96,9 +96,10 @@ class DCoach(Learner):
     def learn(
         self, state: DCoachState, moment: Moment, advice: Float[Array, " action"], key: PRNGKeyArray
     ) -> tuple[DCoachState, Info]:
-        """A step for this correction, and one for a minibatch of the buffer that holds it, drawn by `key`.
+        """A step for this correction, and one for a minibatch of the buffer that holds it.
 
-        `Info.rate` is how far the two moved the action at this observation.
+        `key` and how many corrections there were draw it: `correct` has one key for all of them. `Info.rate` is how far
+        the two steps moved the action at this observation.
         """
         obs, target = moment.obs[None], jnp.clip(moment.action + self.magnitude * advice, -1.0, 1.0)
         layers, _ = self._descended(state.layers, obs, target[None])
@@ -111,7 +112,7 @@ class DCoach(Learner):
                 count=state.count + 1,
                 loss=state.loss,
             ),
-            key,
+            jax.random.fold_in(key, state.count),
         )
         before, after = (_actions(each, obs * self.scaling[None])[0] for each in (state.layers, new.layers))
         return new, Info.of(rate=jnp.abs(after - before))

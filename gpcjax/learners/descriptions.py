@@ -116,8 +116,12 @@ D_COACH = LearnerSpec(
     settings=(
         Setting("learning_rate", "alpha", POSITIVE, "learning rate of D-COACH's network"),
         Setting("magnitude", "e", POSITIVE, "error magnitude that COACH and D-COACH assume"),
-        Setting("buffer_size", "K", Numbers(1, 1 << 20, whole=True), "corrections that are kept", compiled="value"),
-        Setting("batch_size", "N", Numbers(1, 1 << 14, whole=True), "corrections of a minibatch", compiled="value"),
+        Setting(
+            "buffer_size", "K", Numbers(1, 1 << 20, whole=True), "corrections that are kept", compiled="value"
+        ),
+        Setting(
+            "batch_size", "N", Numbers(1, 1 << 14, whole=True), "corrections of a minibatch", compiled="value"
+        ),
         Setting(
             "replay_every",
             "b",
@@ -130,7 +134,9 @@ D_COACH = LearnerSpec(
     options=("scaling",),
     columns=(
         Column("buffer_points", "int", "corrections in the buffer at the episode's end"),
-        Column("replay_loss", "float", "half the mean squared error of the newest minibatch, before its step"),
+        Column(
+            "replay_loss", "float", "half the mean squared error of the newest minibatch, before its step"
+        ),
     ),
     defaults={
         "learning_rate": 0.003,
