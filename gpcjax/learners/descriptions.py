@@ -109,6 +109,7 @@ COACH = LearnerSpec(
     options=("lower", "upper", "counts"),
 )
 
+# As published but for the learning rate (0.003), which sweeps/grid_pendulum_d-coach.toml found for sparser advice.
 D_COACH = LearnerSpec(
     name="d-coach",
     make="gpcjax.learners.dcoach:make_dcoach",
@@ -139,7 +140,7 @@ D_COACH = LearnerSpec(
         ),
     ),
     defaults={
-        "learning_rate": 0.003,
+        "learning_rate": 0.3,
         "magnitude": 1.0,
         "buffer_size": 200,
         "batch_size": 50,
