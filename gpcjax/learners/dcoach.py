@@ -141,7 +141,8 @@ class DCoach(Learner):
         """The network after a step of gradient descent on half the mean squared error, and that before it."""
         loss, slope = eqx.filter_value_and_grad(_loss)(layers, obs * self.scaling[None], targets)
         optimiser = optax.sgd(self.learning_rate)  # without momentum: it has nothing to keep in the state
-        updates, _ = optimiser.update(slope, optimiser.init(layers))
+        kept = optimiser.init(layers)  # pyright: ignore[reportArgumentType]  (any pytree of arrays will do)
+        updates, _ = optimiser.update(slope, kept)
         return eqx.apply_updates(layers, updates), loss
 
 
