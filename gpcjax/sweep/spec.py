@@ -234,7 +234,7 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
-    for word in ("delay", "credit"):
+    for word in ("credit", *(("delay",) if teacher.name == ORACLE else ())):
         check_lateness(word, fields["hyperparameters"], task.seconds)
     return SweepSpec(**fields)
 
