@@ -4,7 +4,6 @@ Beside them what people do that an oracle does not: late advice, attention that 
 """
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -107,7 +106,7 @@ class Oracle(Teacher):
         """Gamma = c_a * sigma_h + gamma_c (section 4.1.3), at most 1."""
         rate, gain = (jnp.broadcast_to(value, sigma_human.shape) for value in (self.rate, self.active_gain))
         chance = jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
-        return chance if self.willing is None else chance * self.willing
+        return chance if self.willing is None else chance * jnp.broadcast_to(self.willing, chance.shape)
 
     def may_advise(
         self,
@@ -156,8 +155,8 @@ def synthesised(
     Args:
         rate, error, delta, active_gain, schedule, fading: see `Oracle`.
         delay, delay_longest, delay_shape: seconds between a step and the advice about it (`lateness`).
-        attention, distraction: mean seconds that the teacher looks, and looks away; the second is the first's if it is
-            not given.
+        attention, distraction: mean seconds that the teacher looks, and looks away, a step at least; the second is the
+            first's if it is not given.
         whole_error: 1 for `Oracle.whole`.
         time_step: seconds of a step.
 
@@ -169,7 +168,8 @@ def synthesised(
         raise UserError("distraction: without attention it changes nothing, give both")
     late = lateness("delay", delay, delay_longest, delay_shape, time_step)
     spells = (attention, attention if distraction is None else distraction)
-    away, back = (None if spell is None else -math.expm1(-time_step / spell) for spell in spells)
+    # Spells are geometric: a chance of 1 / n at each step ends one after n steps in the mean.
+    away, back = (None if spell is None else min(time_step / spell, 1.0) for spell in spells)
     values = {"schedule": schedule, "looks_away": away, "looks_back": back, "fading": fading, **numbers}
     arrays: dict[str, Any] = {
         name: None if value is None else jnp.asarray(value, float) for name, value in values.items()
