@@ -41,7 +41,7 @@ def lateness(
     if shape is not None:
         return _gamma(where, seconds, shape, time_step)
     first, last = _steps(seconds, time_step), _steps(seconds if longest is None else longest, time_step)
-    _check(where, last, time_step)
+    _check(where if longest is None else f"{where}_longest", last, time_step)
     return (0.0,) * first + (1.0 / (last - first + 1),) * (last - first + 1)
 
 
