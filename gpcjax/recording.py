@@ -46,7 +46,7 @@ class Recording:
                 f"record {path}: it exists, give another path, or Session.replay to go on with it"
             )
         with _writing(path):
-            recording = cls(open(path, "x", encoding="utf-8"))
+            recording = cls(_opened(path, "x"))
         recording.append({"format": FORMAT, "settings": dict(settings), "place": dict(place)})
         return recording
 
@@ -63,7 +63,7 @@ class Recording:
             whole = content.rfind(b"\n") + 1
             if whole != len(content):
                 os.truncate(path, whole)
-            return cls(open(path, "a", encoding="utf-8"))
+            return cls(_opened(path, "a"))
 
     def append(self, event: Mapping[str, Any]) -> None:
         """Writes one event."""
@@ -91,6 +91,10 @@ class Recording:
             if not _is_event(event):
                 raise UserError(f"{path}, line {number}: this is no event of a session")
         return parsed[0], parsed[1:]
+
+
+def _opened(path: Path, mode: str) -> IO[str]:
+    return open(path, mode, encoding="utf-8")
 
 
 @contextlib.contextmanager

@@ -19,7 +19,6 @@ from gpcjax.envs.base import begin
 from gpcjax.learners.base import Info, Learner, State
 from gpcjax.teachers.base import Teacher
 
-
 _KEPT = ("obs", "action")
 """The fields of `History`."""
 
