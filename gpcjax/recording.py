@@ -20,7 +20,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
@@ -29,13 +29,13 @@ FORMAT = 1
 
 
 class Recording:
-    """A file that events are appended to, each written through to the operating system before `append` returns."""
+    """A file that events are appended to, each given to the operating system before `append` returns.
 
-    def __init__(self, file: IO[str]):
-        self._file = file
+    It is opened for each of them: nothing is left open when its program forgets it or dies.
+    """
 
-    def __del__(self) -> None:
-        self._file.close()
+    def __init__(self, path: Path):
+        self._path = path.absolute()
 
     @classmethod
     def new(cls, path: Any, settings: Mapping[str, Any], place: Mapping[str, Any]) -> "Recording":
@@ -46,7 +46,8 @@ class Recording:
                 f"record {path}: it exists, give another path, or Session.replay to go on with it"
             )
         with _writing(path):
-            recording = cls(_opened(path, "x"))
+            path.touch(exist_ok=False)
+        recording = cls(path)
         recording.append({"format": FORMAT, "settings": dict(settings), "place": dict(place)})
         return recording
 
@@ -60,15 +61,14 @@ class Recording:
         path = checked_path("record", path)
         with _writing(path):
             content = path.read_bytes()
-            whole = content.rfind(b"\n") + 1
-            if whole != len(content):
-                os.truncate(path, whole)
-            return cls(_opened(path, "a"))
+            os.truncate(path, content.rfind(b"\n") + 1)
+        return cls(path)
 
     def append(self, event: Mapping[str, Any]) -> None:
-        """Writes one event."""
-        self._file.write(json.dumps(event, allow_nan=False) + "\n")
-        self._file.flush()
+        """Writes one event. Raises UserError: it cannot be written, or the file was taken away."""
+        line = json.dumps(event, allow_nan=False) + "\n"
+        with _writing(self._path), open(self._path, "ab", opener=_existing) as file:
+            file.write(line.encode())
 
     @staticmethod
     def read(path: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -93,8 +93,8 @@ class Recording:
         return parsed[0], parsed[1:]
 
 
-def _opened(path: Path, mode: str) -> IO[str]:
-    return open(path, mode, encoding="utf-8")
+def _existing(path: str, flags: int) -> int:
+    return os.open(path, flags & ~os.O_CREAT)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -73,8 +74,8 @@ class Session:
 
     def __init__(
         self,
-        learner: Learner,
-        state: State | None = None,
+        learner: Any,
+        state: Any = None,
         *,
         credit: Any = None,
         credit_longest: Any = None,
@@ -86,7 +87,7 @@ class Session:
     ):
         if not isinstance(learner, Learner):
             raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
-        self.learner = learner
+        self.learner: Learner = learner
         late = {"credit": credit, "credit_longest": credit_longest, "credit_shape": credit_shape}
         given = {**late, "time_step": time_step, "seed": seed, "undos": undos}
         self._settings: dict[str, Any] = {
@@ -302,7 +303,10 @@ class Session:
     def _make_room(self) -> None:
         corrections = 1 if self._block.credit is None else self._block.credit.moments
         while self.learner.wants_room and not self.learner.has_room(self.state, corrections):
-            self._block = with_state(self._block, self.learner, self.learner.grow(self.state))
+            state = self.learner.grow(self.state)
+            if _shapes(state) == _shapes(self.state):
+                return  # one of a person's own that does not grow: it knows what to do
+            self._block = with_state(self._block, self.learner, state)
 
     def _numbers(self, name: str, value: Vector, size: int) -> np.ndarray:
         numbers = np.asarray(vector(name, value, size, "this learner"))
@@ -320,6 +324,10 @@ class Session:
     def _note(self, event: str, **values: Any) -> None:
         if self._recording is not None:
             self._recording.append({"event": event, "episode": self.episode, "step": self.step, **values})
+
+
+def _shapes(state: State) -> list[tuple[int, ...]]:
+    return [leaf.shape for leaf in jax.tree.leaves(state)]
 
 
 set_public_methods_under_own_settings(Session)

@@ -141,41 +141,44 @@ LATE = {"delay": 0.2, "delay_shape": 2.0}
 UNSTEADY = {"attention": 1.0, "distraction": 0.5, "fading": 0.01}
 
 
-class TestSpread:
+BOTH = TIERS["gpc"][-2:]
+
+
+@pytest.fixture(scope="module")
+def spread():
     """Late teachers, wrong as a whole, and credit for several steps; in dictionaries that outgrow a block."""
+    given = learner("gpc", static_rate=0.2, on_full="replace-nearest")
+    credit = Credit.of(0.1, None, 2.0, STEP)
+    assert credit.moments == 6
+    settings = [{}, {"error": 0.4}, {"rate": 0.02}]
+    return [
+        begun((index, seed), given, person(whole_error=1, **LATE, **change), seed, credit)
+        for index, change in enumerate(settings)
+        for seed in (3, 4)
+    ]
 
-    TIERS = TIERS["gpc"][-2:]
 
-    @pytest.fixture(scope="class")
-    def starts(self):
-        given = learner("gpc", static_rate=0.2, on_full="replace-nearest")
-        credit = Credit.of(0.1, None, 2.0, STEP)
-        assert credit.moments > 4
-        settings = [{}, {"error": 0.4}, {"rate": 0.02}]
-        return [
-            begun((index, seed), given, person(whole_error=1, **LATE, **change), seed, credit)
-            for index, change in enumerate(settings)
-            for seed in (3, 4)
-        ]
+@pytest.fixture(scope="module")
+def pool(spread):
+    return make_pool(RECORDED["compiled"], spread[0], BOTH, EPISODES)
 
-    @pytest.fixture(scope="class")
-    def pool(self, starts):
-        return make_pool(RECORDED["compiled"], starts[0], self.TIERS, EPISODES)
 
-    @pytest.fixture(scope="class")
-    def together(self, pool, starts):
-        return run(pool, starts)
+@pytest.fixture(scope="module")
+def together(pool, spread):
+    return run(pool, spread)
 
-    def test_against_a_plain_loop(self, starts, pool, together):
+
+class TestSpread:
+    def test_against_a_plain_loop(self, spread, pool, together):
         assert pool.counters.promotions >= 4
-        for each in starts[:1] + starts[3:4]:
-            agrees(together[each.name], teach(RECORDED["compiled"], each, self.TIERS[-1])[0])
+        for each in spread[:1] + spread[3:4]:
+            agrees(together[each.name], teach(RECORDED["compiled"], each, BOTH[-1])[0])
 
-    def test_a_lane_depends_on_itself_alone(self, starts, pool, together):
-        assert len({lane.rows.rate_sum.tobytes() for lane in together.values()}) == len(starts)
-        for each in starts[2:4]:
+    def test_a_lane_depends_on_itself_alone(self, spread, pool, together):
+        assert len({lane.rows.rate_sum.tobytes() for lane in together.values()}) == len(spread)
+        for each in spread[2:4]:
             assert_same_bits(kept(run(pool, [each])[each.name]), kept(together[each.name]))
-        for name, lane in run(pool, starts[::-1]).items():
+        for name, lane in run(pool, spread[::-1]).items():
             assert_same_bits(kept(lane), kept(together[name]))
 
 
@@ -222,10 +225,10 @@ class Counting(Teacher):
         return dataclasses.replace(self, seen=memory["seen"])
 
     def may_advise(self, coins, largest_sigma, step):
-        return coins < self.rate
+        return coins < self.rate[None]
 
     def advise(self, coins, moment):
-        return jnp.where((coins < self.rate) & (self.seen % 2 == 1), 1.0, 0.0)
+        return jnp.where((coins < self.rate[None]) & (self.seen % 2 == 1)[None], 1.0, 0.0)
 
 
 class Restless(Learner):
