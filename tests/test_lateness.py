@@ -6,7 +6,7 @@ from scipy import stats
 
 from gpcjax.engine.history import Credit
 from gpcjax.errors import UserError
-from gpcjax.lateness import MOST, check, lateness
+from gpcjax.lateness import CREDIT, DELAY, MOST, check, lateness
 
 
 def mean(chances):
@@ -14,8 +14,8 @@ def mean(chances):
 
 
 def test_no_delay():
-    assert lateness("delay", None, None, None, 0.02) == (1.0,)
-    assert lateness("delay", 0.0, None, None, 0.02) == (1.0,)
+    assert lateness(DELAY, None, None, None, 0.02) == (1.0,)
+    assert lateness(DELAY, 0.0, None, None, 0.02) == (1.0,)
     assert Credit.of(None, None, None, 0.02) is None
     assert Credit.of(0.0, None, None, 0.02) is None
 
@@ -25,7 +25,7 @@ def test_no_delay():
 )
 def test_fixed(seconds, steps):
     """The nearest number of steps, halves up."""
-    assert lateness("delay", seconds, None, None, 0.02) == (0.0,) * steps + (1.0,)
+    assert lateness(DELAY, seconds, None, None, 0.02) == (0.0,) * steps + (1.0,)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_fixed(seconds, steps):
 )
 def test_uniform(shortest, longest, first, last):
     """All numbers of steps between the two, both among them, are as likely."""
-    chances = lateness("delay", shortest, longest, None, 0.02)
+    chances = lateness(DELAY, shortest, longest, None, 0.02)
     np.testing.assert_allclose(chances, stats.randint.pmf(np.arange(last + 1), first, last + 1), rtol=1e-14)
     assert mean(chances) == pytest.approx((first + last) / 2)
 
@@ -44,7 +44,7 @@ def test_uniform(shortest, longest, first, last):
 def test_gamma(seconds, shape):
     """What of the distribution rounds to each number of steps, without the last thousandth of its tail."""
     step = 0.02
-    chances = lateness("delay", seconds, None, shape, step)
+    chances = lateness(DELAY, seconds, None, shape, step)
     assert sum(chances) == pytest.approx(1.0, abs=1e-12)
     assert min(chances) >= 0.0 and chances[-1] > 0.0
     given = stats.gamma(shape, scale=seconds / shape)
@@ -60,7 +60,7 @@ def test_gamma(seconds, shape):
 @pytest.mark.parametrize("shape", [1e-300, 1e-6, 1e12, 1e300])
 def test_shapes_beyond_reason_are_distributions_or_refused(shape):
     try:
-        chances = lateness("delay", 0.3, None, shape, 0.02)
+        chances = lateness(DELAY, 0.3, None, shape, 0.02)
     except UserError as error:
         assert str(error).startswith("delay_shape") and "\n" not in str(error)
     else:
@@ -69,7 +69,7 @@ def test_shapes_beyond_reason_are_distributions_or_refused(shape):
 
 def test_a_gamma_distribution_becomes_a_fixed_delay():
     """As its shape grows its spread vanishes."""
-    chances = lateness("delay", 0.3, None, 1e6, 0.02)
+    chances = lateness(DELAY, 0.3, None, 1e6, 0.02)
     assert chances[15] == pytest.approx(1.0)
 
 
@@ -81,7 +81,7 @@ def test_credit():
     fixed = Credit.of(0.1, None, None, 0.02)
     assert (fixed.first, fixed.moments, fixed.reach) == (5, 1, 5)
     gamma = Credit.of(0.3, None, 3.0, 0.02)
-    chances = lateness("credit", 0.3, None, 3.0, 0.02)
+    chances = lateness(CREDIT, 0.3, None, 3.0, 0.02)
     np.testing.assert_array_equal(gamma.weights, chances[gamma.first :])
     assert gamma.reach == len(chances) - 1
     assert not any(chances[: gamma.first]) and chances[gamma.first] > 0
@@ -102,16 +102,18 @@ def test_credit():
 )  # fmt: skip
 def test_refused(given, message):
     with pytest.raises(UserError) as refused:
-        lateness("late", *given, 0.02)
+        lateness(("late", "late_longest", "late_shape"), *given, 0.02)
     assert str(refused.value) == message
 
 
 def test_every_combination_of_a_sweep_is_checked():
+    """And refused by the name that it was given by."""
     values = {"delay": (0.0, 0.1, 0.2), "delay_longest": (0.2, 0.4)}
-    check("delay", values, 0.02)
-    check("credit", values, 0.02)
+    check(DELAY, values, {}, 0.02)
+    check(CREDIT, values, {}, 0.02)
+    places = {"delay_longest": "--delay-longest"}
     for name, worse in (("delay_longest", (0.2, 0.1)), ("delay", (0.3, 0.1))):
-        with pytest.raises(UserError, match="^delay_longest 0.[12]: give at least delay, 0.[23]$"):
-            check("delay", values | {name: worse}, 0.02)
-    with pytest.raises(UserError, match="^delay_longest: beside delay_shape"):
-        check("delay", values | {"delay_shape": (3.0,)}, 0.02)
+        with pytest.raises(UserError, match=r"^--delay-longest 0.[12]: give at least delay, 0.[23]$"):
+            check(DELAY, values | {name: worse}, places, 0.02)
+    with pytest.raises(UserError, match=r"^--delay-longest: beside delay_shape it changes nothing"):
+        check(DELAY, values | {"delay_shape": (3.0,)}, places, 0.02)

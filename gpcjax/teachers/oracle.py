@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from gpcjax.elementary import decay
 from gpcjax.errors import UserError
-from gpcjax.lateness import lateness
+from gpcjax.lateness import DELAY, lateness
 from gpcjax.moment import Moment
 from gpcjax.policies.base import ByIdentity, Vector, check_executed, vector
 from gpcjax.teachers.base import Teacher
@@ -166,7 +166,7 @@ def synthesised(
     numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
     if attention is None and distraction is not None:
         raise UserError("distraction: without attention it changes nothing, give both")
-    late = lateness("delay", delay, delay_longest, delay_shape, time_step)
+    late = lateness(DELAY, delay, delay_longest, delay_shape, time_step)
     spells = (attention, attention if distraction is None else distraction)
     # Spells are geometric: a chance of 1 / n at each step ends one after n steps in the mean.
     away, back = (None if spell is None else min(time_step / spell, 1.0) for spell in spells)

@@ -155,7 +155,7 @@ class TestRecord:
         """Is not begun anew without its first lines."""
         session = Session(coach, record=tmp_path / "record")
         (tmp_path / "record").unlink()
-        with pytest.raises(UserError, match="record: it cannot be written .No such file"):
+        with pytest.raises(UserError, match=r"record: it cannot be written .No such file"):
             session.propose(PLACE)
         assert not (tmp_path / "record").exists()
 

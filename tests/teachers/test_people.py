@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.lateness import lateness
+from gpcjax.lateness import DELAY, lateness
 from gpcjax.moment import Moment
 from gpcjax.teachers.oracle import Memory, synthesised
 from gpcjax.teachers.replay import Replay, described_record, read_advice
@@ -68,7 +68,7 @@ class TestLateness:
     )
     def test_frequencies(self, delay):
         teacher = person(**delay)
-        chances = lateness("delay", *(delay.get(f"delay{each}") for each in ("", "_longest", "_shape")), STEP)
+        chances = lateness(DELAY, *map(delay.get, DELAY), STEP)
         assert teacher.reach == len(chances) - 1 and teacher.draws and not teacher.watches
         steps = np.asarray(about(in_lanes(teacher), moment()))
         counts = np.bincount(steps, minlength=len(chances))
