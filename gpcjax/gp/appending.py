@@ -11,10 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp import factor
-from gpcjax.gp.factor import Reading
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, with_point
-from gpcjax.gp.process import Change, GaussianProcess
+from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 
 
@@ -58,6 +57,13 @@ class Appended(Change):
         return before
 
 
+class Projected(Reading):
+    """What such a posterior tells of an input."""
+
+    solved: Float[Array, " n"]
+    """S^T S k = (K + noise I)^-1 k, the weights with which the points explain it."""
+
+
 class Appending(GaussianProcess):
     """The model; `matrix` is a `lower` inverse root S, as `gpcjax.gp.factor` keeps it, and there are no weights."""
 
@@ -81,15 +87,16 @@ class Appending(GaussianProcess):
         where: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
-    ) -> Reading:
-        """|S k|^2 and S^T S k in one pass; no `point` goes, so there is nothing to be told of one."""
-        return factor.read(posteriors.matrix, where, posteriors.count[where], covariances, lower=True)
+    ) -> Projected:
+        """Deviation and weights in one pass; no `point` goes, so there is nothing to be told of one."""
+        told = factor.read(posteriors.matrix, where, posteriors.count[where], covariances, lower=True)
+        return Projected(self.deviation(told.explained), told.solved)
 
     def put(
         self,
         posteriors: Posterior,
         where: Places,
-        reading: Reading,
+        reading: Projected,
         point: Float[Array, " d"],
         target: Float[Array, ""],
         index: Int[Array, ""],
@@ -97,7 +104,7 @@ class Appending(GaussianProcess):
     ) -> Appended:
         """What one more point changes; `index` is the count of points, wherever `write` is true."""
         before = posteriors.count[where]
-        _, row = factor.new_row(reading.solved, reading.explained, before, self.prior, self.noise)
+        row = factor.row_of(reading.solved, before, reading.deviation)
         return Appended(index, before, before + 1, point, target, row).only(write)
 
     def grow_matrix(self, matrix: factor.Roots, old: int, capacity: int) -> factor.Roots:

@@ -147,7 +147,12 @@ def new_row(
         noise: what its variance cannot fall below.
     """
     deviation = jnp.sqrt(jnp.maximum(prior - explained, noise))
-    return deviation, jnp.where(jnp.arange(solved.shape[0]) == index, 1.0, -solved) / deviation
+    return deviation, row_of(solved, index, deviation)
+
+
+def row_of(solved: Vector, index: Int[Array, ""], deviation: Float[Array, ""]) -> Vector:
+    """The row that an input adds to a root as point `index`; arguments as of `new_row`."""
+    return jnp.where(jnp.arange(solved.shape[0]) == index, 1.0, -solved) / deviation
 
 
 def edit(

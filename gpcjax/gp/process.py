@@ -13,12 +13,12 @@ indices of the first axes), and no large matrix is copied.
 
 import abc
 import dataclasses
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp.factor import Reading
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.tiles import Places
@@ -48,6 +48,13 @@ class Change(eqx.Module):
         """That of the posterior when it is written, given that of the posterior `before`."""
 
 
+class Reading(eqx.Module):
+    """What a posterior tells of an input. A model adds what its `put` needs to learn it."""
+
+    deviation: Float[Array, ""]
+    """Predictive standard deviation, noise included."""
+
+
 class GaussianProcess(eqx.Module):
     """Zero-mean Gaussian process with observation noise.
 
@@ -55,13 +62,13 @@ class GaussianProcess(eqx.Module):
         kernel: covariance of the scaled inputs.
         noise: variance added to the diagonal, and part of every predictive variance.
 
-    A correction is `covariances`, `read`, `put` and `Change.write`, in this order; `deviation` and `sound` tell in
-    between whether it is wanted.
+    A correction is `covariances`, `read`, `put` and `Change.write`, in this order; what is read and `sound`
+    tell in between whether it is wanted.
     """
 
     kernel: eqx.AbstractVar[Kernel]
     noise: eqx.AbstractVar[Float[Array, ""]]
-    normalise: eqx.AbstractClassVar[bool]
+    normalise: ClassVar[bool]
     """Whether inputs are scaled by the dictionary's standard deviations (GPC-NS) instead of fixed weights."""
 
     @abc.abstractmethod
@@ -84,8 +91,7 @@ class GaussianProcess(eqx.Module):
     ) -> Reading:
         """What the posterior at `where` tells of an input with these covariances: what `put` needs to learn it.
 
-        `point` is the row that the input may replace, if any. A model may leave out what its `put` does not need; what
-        the points explain is always told.
+        `point` is the row that the input may replace, if any.
         """
 
     @abc.abstractmethod
@@ -93,7 +99,7 @@ class GaussianProcess(eqx.Module):
         self,
         posteriors: Posterior,
         where: Places,
-        reading: Reading,
+        reading: Any,
         point: Float[Array, " d"],
         target: Float[Array, ""],
         index: Int[Array, ""],
@@ -101,8 +107,9 @@ class GaussianProcess(eqx.Module):
     ) -> Change:
         """What one point changes that is appended (`index == count`) or replaces another (`index < count`).
 
-        `reading` is that of `point`; if it replaces another one, from a `read` that was told so. The caller keeps
-        `index` below the capacity wherever `write` is true; where it is false, nothing changes.
+        `reading` is that of `point`, as this model's `read` gives it; if it replaces another one, from a `read` that
+        was told so. The caller keeps `index` below the capacity wherever `write` is true; where it is false, nothing
+        changes.
         """
 
     @abc.abstractmethod

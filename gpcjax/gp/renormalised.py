@@ -15,10 +15,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from gpcjax.gp import cholesky, tiles
-from gpcjax.gp.factor import Reading
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, small, take
-from gpcjax.gp.process import Change, GaussianProcess
+from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 
 SMALLEST_DEVIATION = 1e-6
@@ -87,9 +86,8 @@ class Renormalised(GaussianProcess):
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
     ) -> Reading:
-        """Only what the points explain: all else is made anew by `put`."""
-        nothing = jnp.zeros_like(covariances)
-        return Reading(self.explained(posteriors, where, covariances), nothing, nothing)
+        """Only the deviation: all else is made anew by `put`."""
+        return Reading(self.deviation(self.explained(posteriors, where, covariances)))
 
     def put(
         self,

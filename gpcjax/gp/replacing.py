@@ -11,10 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp import factor, tiles
-from gpcjax.gp.factor import Reading
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, small, with_point
-from gpcjax.gp.process import Change, GaussianProcess
+from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 
 
@@ -58,6 +57,13 @@ class Placed(Change):
         return before
 
 
+class Weighed(Reading):
+    """What such a posterior tells of an input."""
+
+    root: factor.Reading
+    """With the column of a point that may go."""
+
+
 class Replacing(GaussianProcess):
     """The model; `matrix` is the inverse root S, a square as `gpcjax.gp.factor` keeps it.
 
@@ -85,30 +91,31 @@ class Replacing(GaussianProcess):
         where: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
-    ) -> Reading:
+    ) -> Weighed:
         """|S k|^2, S^T S k and the column of S^T S that belongs to a `point` which may go, in one pass."""
-        return factor.read(posteriors.matrix, where, posteriors.count[where], covariances, point)
+        root = factor.read(posteriors.matrix, where, posteriors.count[where], covariances, point)
+        return Weighed(self.deviation(root.explained), root)
 
     def put(
         self,
         posteriors: Posterior,
         where: Places,
-        reading: Reading,
+        reading: Weighed,
         point: Float[Array, " d"],
         target: Float[Array, ""],
         index: Int[Array, ""],
         write: Bool[Array, ""],
     ) -> Placed:
         """What a point changes in row `index`: the first that is free, or that of a point which `read` was told of."""
-        before = small(posteriors, where)
+        before, root = small(posteriors, where), reading.root
         here = jnp.arange(before.capacity) == index
         count = before.count + (write & (index >= before.count)).astype(before.count.dtype)
-        edit = factor.edit(posteriors.matrix, where, before.count, index, reading, self.prior, self.noise)
+        edit = factor.edit(posteriors.matrix, where, before.count, index, root, self.prior, self.noise)
         weights = before.weights
         if self.keeps_weights:
             targets = jnp.where(here & write, target, before.targets)
-            share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(reading.column, index), 1.0)
-            others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - reading.column * share), weights)
+            share = jnp.take(weights, index) / jnp.where(edit.replaces, jnp.take(root.column, index), 1.0)
+            others = jnp.where(edit.replaces, jnp.where(here, 0.0, weights - root.column * share), weights)
             weights = others + edit.row * (edit.row * targets).sum()
         return Placed(edit, before.count, count, point, target, weights, write)
 

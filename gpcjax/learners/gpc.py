@@ -19,9 +19,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from gpcjax.gp.factor import Reading
 from gpcjax.gp.posterior import Posterior, small
-from gpcjax.gp.process import Change, GaussianProcess
+from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
@@ -52,8 +51,11 @@ class _Consulted(eqx.Module):
     nearest: Int[Array, ""]
     """Row of the point of largest covariance with the input."""
     reading: Reading
-    sigma: Float[Array, ""]
-    """Predictive standard deviation."""
+
+    @property
+    def sigma(self) -> Float[Array, ""]:
+        """Predictive standard deviation."""
+        return self.reading.deviation
 
     @property
     def full(self) -> Bool[Array, ""]:
@@ -67,7 +69,7 @@ def _consult(
     covariances = process.covariances(posterior, point)
     nearest = covariances.argmax()
     reading = process.read(posteriors, where, covariances, nearest)
-    return _Consulted(posterior, nearest, reading, process.deviation(reading.explained))
+    return _Consulted(posterior, nearest, reading)
 
 
 class GPC(Learner):

@@ -64,7 +64,7 @@ def _append(process, posteriors, where, point, target, given):
     before = small(posteriors, where)
     reading = process.read(posteriors, where, process.covariances(before, point))
     change = process.put(posteriors, where, reading, point, target, before.count, jnp.array(True))
-    return process.deviation(reading.explained), change.only(given).write(posteriors, where)
+    return reading.deviation, change.only(given).write(posteriors, where)
 
 
 def append(process, posteriors, point, target, given=True, where=()) -> tuple[jax.Array, Posterior]:
