@@ -104,6 +104,7 @@ class Appending(GaussianProcess):
     ) -> Appended:
         """What one more point changes; `index` is the count of points, wherever `write` is true."""
         before = posteriors.count[where]
+        # By the deviation that was read: XLA compiles one that is computed once more to other bits.
         row = factor.row_of(reading.solved, before, reading.deviation)
         return Appended(index, before, before + 1, point, target, row).only(write)
 
