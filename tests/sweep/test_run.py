@@ -43,7 +43,7 @@ SPEC = spec_of(**SETTINGS)
 def pretend(monkeypatch):
     def make(*arguments, **options):
         pretended = Pretended(*arguments, **options)
-        monkeypatch.setattr(run_module, "Executors", pretended)
+        monkeypatch.setattr(run_module, "Processes", pretended)
         return pretended
 
     return make
