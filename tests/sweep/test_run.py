@@ -141,6 +141,8 @@ def test_rows_are_flushed_while_it_runs(tmp_path, pretend, monkeypatch):
     seen = []
 
     def work(cells, baselines, on_rows, on_baseline, on_progress):
+        for _, name in baselines:
+            on_baseline(name, BASELINE)
         for cell in cells:
             time.sleep(0.02)
             on_rows(rows(cell))

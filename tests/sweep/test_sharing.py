@@ -46,7 +46,7 @@ def test_shares_shrink_towards_the_end():
 
 def test_on_the_host_a_worker_leaves_the_others_their_part():
     task = cells(seeds=5, algo=["coach"])
-    lander = plan(spec_of(env="lander", algo="gpc", seeds=5))
+    lander = plan(spec_of(env="lunarlander", algo="gpc", seeds=5))
     for these, expected in ((task, 5), (lander, 3)):
         sharing = Sharing(these, workers=2)
         sharing.next_program(0)
