@@ -228,7 +228,7 @@ def test_the_manifest(reference):
 
 
 def test_a_second_call_starts_no_worker(reference, monkeypatch):
-    monkeypatch.setattr(run_module, "Executors", None)
+    monkeypatch.setattr(run_module, "Processes", None)
     before = {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
     sweep(reference, jobs=2, **SETTINGS)
     assert before == {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
