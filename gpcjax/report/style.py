@@ -14,6 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from gpcjax.report.document import Picture
+
 # Blue, vermilion and green of Okabe and Ito (2008): told apart with any colour vision.
 ALGORITHM_COLOURS = {"gpc": "#0072B2", "gpc-ns": "#D55E00", "coach": "#009E73"}
 OTHER_COLOUR = "#CC79A7"
@@ -187,6 +189,12 @@ def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
     with publication():
         figure.savefig(stream, format=kind, backend=_BACKENDS[kind], dpi=dpi, metadata=undated)
     return stream.getvalue()
+
+
+def pictured(drawing: Drawing, file: str = "") -> Picture:
+    """A drawing for a document; `file` is where it lies beside it."""
+    figure, alternative, caption = drawing
+    return Picture(image(figure, "svg"), figure.get_figwidth(), alternative, caption, file)
 
 
 def _across(number: int) -> int:

@@ -180,7 +180,7 @@ def test_what_is_damaged_is_left_out_with_a_line(out, capsys):
 
 def test_a_report_needs_neither_jax_nor_pyplot():
     code = (
-        "import sys, gpcjax.report.run, gpcjax.report.tables\n"
+        "import sys, gpcjax.report.run, gpcjax.report.terminal\n"
         "print({'jax', 'equinox', 'brax', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules))"
     )
     root = Path(gpcjax.__file__).parents[1]
@@ -205,7 +205,7 @@ def test_a_report_is_drawn_whatever_the_environment_says(out, tmp_path_factory):
         "import sys, pathlib, pandas as pd\n"
         "from rich.console import Console\n"
         "from gpcjax.report.run import draw_frames\n"
-        "from gpcjax.report.tables import render\n"
+        "from gpcjax.report.terminal import render\n"
         "from tests.report import synthetic\n"
         "given, out = map(pathlib.Path, sys.argv[1:])\n"
         "frame, rows = (pd.read_parquet(given / f'{name}.parquet') for name in ('frame', 'rows'))\n"
