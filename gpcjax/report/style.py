@@ -214,9 +214,12 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
 
     To the left: a phone shows the beginning of a wide figure.
     """
-    inches = sum(0.47 + 0.058 * len(str(handle.get_label())) for handle in handles)
-    rows = -(-inches // figure.get_figwidth())
+    inches = [0.47 + 0.058 * len(str(handle.get_label())) for handle in handles]
+    rows = -(-sum(inches) // figure.get_figwidth())
     columns = int(-(-len(handles) // max(rows, 1)))
+    # A column is as wide as its longest label.
+    while columns > 1 and sum(map(max, np.array_split(inches, columns))) > figure.get_figwidth():
+        columns -= 1
     if handles:
         figure.legend(
             handles=list(handles),

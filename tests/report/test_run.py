@@ -227,3 +227,13 @@ def test_a_report_is_drawn_whatever_the_environment_says(out, tmp_path_factory):
     assert done.returncode == 0, done.stderr
     assert "2500 +/- 0" in done.stdout
     assert (out / "curves.png").read_bytes() == plain
+
+
+def test_what_a_learner_measures_does_not_order_its_rows(out):
+    frame = synthetic.episodes(seeds=4, errors=(0.0,), length=3, algos=("coach",))
+    frame["loss"] = -1.0 * frame.index  # falls: in its order the last seed would be the first
+    corrections = synthetic.corrections(seeds=4, errors=(0.0,), algos=("coach",))
+    synthetic.write(out, frame, corrections, synthetic.manifest(frame))
+    read = store.read(out).episodes
+    assert read["seed"].tolist() == [0] * 3 + [1] * 3 + [2] * 3 + [3] * 3
+    assert read["loss"].tolist() == frame["loss"].tolist()
