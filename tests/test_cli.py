@@ -217,7 +217,7 @@ BAD = [
         f"--env '': an empty value, give {ENVS}",
     ),
     ("", f"no env: give {ENVS}"),
-    ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns, coach or module:NAME"),
+    ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns, coach, d-coach or module:NAME"),
     ("--env cartpole --error 1.5", "--error 1.5: give a number from 0 to 1"),
     ("--env cartpole --error 0,nan", "--error nan: give a number from 0 to 1"),
     ("--env cartpole --error -inf", "--error -inf: give a number from 0 to 1"),

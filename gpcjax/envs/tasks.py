@@ -1,6 +1,7 @@
 """The built-in tasks: their descriptions, with hyperparameters for each learner. Data only, no jax.
 
-Tables 5.1 to 5.3 of the thesis for GPC and GPC-NS, Table A.1 for COACH. The mountain car is not of the thesis.
+Tables 5.1 to 5.3 of the thesis for GPC and GPC-NS, Table A.1 for COACH. How large observations are (`obs_scale`) is
+what the thesis divides them by for GPC; the lander's are about one by themselves. The mountain car is not of the thesis.
 """
 
 from types import MappingProxyType
@@ -43,6 +44,7 @@ CARTPOLE = TaskSpec(
     ),
     episodes=30,
     sizes=(4, 1),
+    obs_scale=(1.0, 1.0, 0.13, 0.4),
     time_step=0.02,
     presets=MappingProxyType(
         {
@@ -75,6 +77,7 @@ PENDULUM = TaskSpec(
     ),
     episodes=40,
     sizes=(3, 1),
+    obs_scale=(1.0, 1.0, 6.0),
     time_step=0.05,
     presets=MappingProxyType(
         {
@@ -126,6 +129,7 @@ MOUNTAIN_CAR = TaskSpec(
     experts=MappingProxyType({"pump": ("gpcjax.envs.experts:ValleyPump",)}),
     episodes=30,
     sizes=(2, 1),
+    obs_scale=(0.5, 0.04),
     presets=MappingProxyType(
         {
             # Chosen by the grids of sweeps/grid_mountaincar_*.toml, which tell their figures.

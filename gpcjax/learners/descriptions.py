@@ -103,10 +103,50 @@ COACH = LearnerSpec(
     label="COACH",
     settings=(
         Setting("beta", "beta", POSITIVE, "learning rate of COACH's human model"),
-        Setting("magnitude", "e", POSITIVE, "error magnitude that COACH assumes"),
+        Setting("magnitude", "e", POSITIVE, "error magnitude that COACH and D-COACH assume"),
         Setting("coach_constant", "c_c", NON_NEGATIVE, "constant part of COACH's rate (2.3)"),
     ),
     options=("lower", "upper", "counts"),
 )
 
-LEARNERS = (GPC, GPC_NS, COACH)
+# As published but for the learning rate (0.003), which sweeps/grid_pendulum_d-coach.toml found for sparser advice.
+D_COACH = LearnerSpec(
+    name="d-coach",
+    make="gpcjax.learners.dcoach:make_dcoach",
+    label="D-COACH",
+    settings=(
+        Setting("learning_rate", "alpha", POSITIVE, "learning rate of D-COACH's network"),
+        Setting("magnitude", "e", POSITIVE, "error magnitude that COACH and D-COACH assume"),
+        Setting(
+            "buffer_size", "K", Numbers(1, 1 << 20, whole=True), "corrections that are kept", compiled="value"
+        ),
+        Setting(
+            "batch_size", "N", Numbers(1, 1 << 14, whole=True), "corrections of a minibatch", compiled="value"
+        ),
+        Setting(
+            "replay_every",
+            "b",
+            Numbers(0, 1 << 20, whole=True),
+            "steps between minibatches without advice, 0 for none",
+            compiled="value",
+        ),
+        Setting("width", "", Numbers(1, 1 << 12, whole=True), "units of each hidden layer", compiled="value"),
+    ),
+    options=("scaling",),
+    columns=(
+        Column("buffer_points", "int", "corrections in the buffer at the episode's end"),
+        Column(
+            "replay_loss", "float", "half the mean squared error of the newest minibatch, before its step"
+        ),
+    ),
+    defaults={
+        "learning_rate": 0.3,
+        "magnitude": 1.0,
+        "buffer_size": 200,
+        "batch_size": 50,
+        "replay_every": 10,
+        "width": 64,
+    },
+)
+
+LEARNERS = (GPC, GPC_NS, COACH, D_COACH)

@@ -55,7 +55,7 @@ def make_learner(
     """A learner with the hyperparameters of the thesis for `env`, or for a task of one's own.
 
     Args:
-        algo: "gpc", "gpc-ns" or "coach", one that an installed package registers, or `module:NAME`.
+        algo: "gpc", "gpc-ns", "coach" or "d-coach", one that an installed package registers, or `module:NAME`.
         env: a task's name, as `make_env` takes it: its sizes, and its presets (Tables 5.1 to 5.3 and A.1 for
             "cartpole", "pendulum" and "lunarlander"). Without it, `obs_size` and `action_size` are needed. Where there
             is no preset, GPC and GPC-NS have the lander's kernels (Table 5.3), unscaled.
@@ -66,6 +66,7 @@ def make_learner(
             `scaling` (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`,
             `sparsify`, `on_full`;
             for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`;
+            for D-COACH `learning_rate`, `magnitude`, `buffer_size`, `batch_size`, `replay_every`, `width`, `scaling`;
             for a learner of one's own, its settings.
 
     All values are bounded as on the command line (`gpcjax.learners.descriptions`); numpy's numbers are numbers.

@@ -26,7 +26,7 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6}
+_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6, "d-coach": 20.0}
 
 _EPISODE_OF_OTHERS, _COMPILING_OTHERS = 1e-3, 5.0
 """Of a task or a learner that is not in the tables: a guess that holds until it has been seen."""

@@ -100,9 +100,12 @@ def option_of(setting: Setting) -> Option:
     return Option(setting.name, setting.kind, setting.allowed, f"{symbol}{setting.text}", many=True)
 
 
+OF_THE_THESIS = ("gpc", "gpc-ns", "coach")
+"""The learners that are compared where nobody names others."""
+
 EXPERIMENT = (
     Option("env", str, _named("task"), "the task", names="task"),
-    Option("algo", str, _named("learner"), "who learns", built_in("learner"), many=True, names="learner"),
+    Option("algo", str, _named("learner"), "who learns", OF_THE_THESIS, many=True, names="learner"),
     Option("teacher", str, _named("teacher"), "who teaches", built_in("teacher")[0], names="teacher"),
     Option("error", float, PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
     Option("seeds", int, COUNT, "how many: seeds 0 to n-1 of everything", 100),

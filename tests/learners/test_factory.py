@@ -59,7 +59,8 @@ SETTINGS = {setting.name for spec in LEARNERS for setting in spec.settings}
 @pytest.mark.parametrize("name", sorted(SETTINGS))
 def test_every_setting_is_an_option(name):
     """And it is refused where it is none of the learner's."""
-    value = 0.5 if name == "policy_nu" else 0.123
+    kinds = {setting.name: setting.kind for spec in LEARNERS for setting in spec.settings}
+    value = 0.5 if name == "policy_nu" else 7 if kinds[name] is int else 0.123
     for spec in LEARNERS:
         if name in {setting.name for setting in spec.settings}:
             learner, usual = (
@@ -123,7 +124,7 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        (("gcp", "cartpole"), {}, "algo 'gcp': give gpc, gpc-ns, coach .*did you mean gpc"),
+        (("gcp", "cartpole"), {}, "algo 'gcp': give gpc, gpc-ns, coach, d-coach .*did you mean gpc"),
         (
             ("gpc", "cartpol"),
             {},

@@ -59,7 +59,7 @@ def test_every_number_of_the_thesis_tables_can_be_varied():
             if name in ("scaling", "lower", "upper", "counts"):
                 continue
             for number in np.atleast_1d(value):
-                assert allowed[name].admits(float(number))
+                assert allowed[name].admits(number.item())
 
 
 def test_lists_keep_their_order_and_lose_repeats():
@@ -112,7 +112,7 @@ def test_toml_gives_what_python_gives(tmp_path):
 
 def test_as_dict_is_json():
     table = as_dict(spec_of(env="cartpole", noise=1e-6))
-    assert table["algo"] == [spec.name for spec in LEARNERS]
+    assert table["algo"] == ["gpc", "gpc-ns", "coach"], "the thesis' learners, whatever else is built in"
     assert table["hyperparameters"] == {"noise": [1e-6]}
     assert "teacher" not in table, "what every sweep of an earlier version had leaves its hash as it was"
 
@@ -127,7 +127,7 @@ REFUSED = [
     ({"env": ["cartpole"]}, "env ['cartpole']: give cartpole"),
     (
         {"env": "cartpole", "algo": "gpc_ns"},
-        "algo 'gpc_ns': give gpc, gpc-ns, coach or module:NAME (did you mean gpc-ns?)",
+        "algo 'gpc_ns': give gpc, gpc-ns, coach, d-coach or module:NAME (did you mean gpc-ns?)",
     ),
     ({"env": "cartpole", "algo": []}, "algo []: the list is empty, give gpc"),
     ({"env": "cartpole", "algo": 3}, "algo 3: give gpc"),
@@ -197,7 +197,7 @@ def test_refused(settings, message):
     with pytest.raises(UserError) as refusal:
         spec_of(**settings)
     assert str(refusal.value).startswith(message)
-    assert len(str(refusal.value)) < 500
+    assert len(str(refusal.value)) < 600  # the longest names all settings
 
 
 def test_a_key_written_twice_is_refused(tmp_path):
