@@ -29,6 +29,7 @@ _PUBLIC = {
     "load": "gpcjax.sweep.store:load",
     "load_corrections": "gpcjax.sweep.store:load_corrections",
     "load_learner": "gpcjax.learners.saved:load_learner",
+    "gym_env": "gpcjax.envs.host:gym_env",
     "learner_names": "gpcjax.registry:learner_names",
     "load_policy": "gpcjax.policies.saved:load_policy",
     "make_env": "gpcjax.envs.registry:make_env",
@@ -65,6 +66,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "State",
     "HostEnv",
     "brax_env",
+    "gym_env",
     "parameter",
     "Learner",
     "Session",
@@ -86,7 +88,7 @@ if TYPE_CHECKING:
     from gpcjax.engine.session import Session
     from gpcjax.envs.base import Env, State, parameter
     from gpcjax.envs.brax_adapter import brax_env
-    from gpcjax.envs.host import HostEnv
+    from gpcjax.envs.host import HostEnv, gym_env
     from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
     from gpcjax.learners.base import Info, Learner
     from gpcjax.learners.factory import make_learner

@@ -216,7 +216,7 @@ def _report(out: Path) -> int:
     from rich.console import Console
 
     from gpcjax.report.run import draw
-    from gpcjax.report.tables import render
+    from gpcjax.report.terminal import render
     from gpcjax.report.words import printable
 
     summary = draw(out)

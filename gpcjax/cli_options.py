@@ -12,13 +12,25 @@ from typing import NoReturn
 from gpcjax.allowed import Anything, shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import PARTS, folder
-from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, Option, parse
+from gpcjax.sweep.options import (
+    EXPERIMENT,
+    OF_CREDIT,
+    OF_LEARNERS,
+    OF_TEACHERS,
+    OPTIONS,
+    RUNNING,
+    VARIANTS,
+    Option,
+    parse,
+)
 from gpcjax.sweep.spec import Given, Unchecked
 
 _GROUPS = (
     ("experiment", EXPERIMENT),
     ("variants of GPC and GPC-NS", VARIANTS),
-    ("hyperparameters (without them, the tables of the thesis)", TUNING),
+    ("hyperparameters of the learners (without them, the tables of the thesis)", OF_LEARNERS),
+    ("the teacher, beside Alg. 4 of the thesis", OF_TEACHERS),
+    ("how a learner reckons with late advice", OF_CREDIT),
     ("running", RUNNING),
 )
 
@@ -85,7 +97,8 @@ def _help(option: Option, command: str) -> str:
         values = option.default if isinstance(option.default, tuple) else (option.default,)
         values = DEFAULTS.get(command, {}).get(option.name, values)
         default = ",".join(str(value).removesuffix(".0") for value in values)
-    notes = [] if isinstance(option.allowed, Anything) else [str(option.allowed)]
+    unlisted = isinstance(option.allowed, Anything) and option.names is None
+    notes = [] if unlisted else [str(option.allowed)]
     if default:
         notes.append(f"default {default}")
     return f"{option.text} ({'; '.join(notes)})" if notes else option.text

@@ -244,6 +244,8 @@ BAD = [
     ("--env cartpole --seeds", "--seeds has no value: give a whole number from 1"),
     ("--env cartpole --seeds --jobs 2", "--seeds has no value: give a whole number from 1"),
     ("--env cartpole a.toml b.toml", "'b.toml' is one value too many"),
+    ("--env cartpole --credit-shape 3", "--credit-shape: without credit it changes nothing, give both"),
+    ("--env cartpole --delay 0,0.2 --delay-longest 0.1", "--delay-longest 0.1: give at least --delay, 0.2"),
     ("none.toml", "none.toml: cannot be read (No such file or directory)"),
     (".", ".: cannot be read (Is a directory)"),
     ("a\0b", "a\\x00b: "),

@@ -16,6 +16,7 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import read_episodes
+from tests.sweep.test_sweeps import kill_and_resume
 
 FOREIGN = Path(__file__).parent / "foreign"
 SETTINGS = {
@@ -64,6 +65,11 @@ def test_by_an_entry_point_alone_it_has_the_same_bits(both, tmp_path):
     rows = read_episodes(both).query("algo == 'drifting:Linear' and step_size == 0.5").reset_index(drop=True)
     for name in ("seed", "episode", "return", "length", "corrections", "mean_rate", "weight"):
         pd.testing.assert_series_equal(alone[name], rows[name], check_exact=True)
+
+
+def test_after_kill_9_too(both, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(FOREIGN))
+    kill_and_resume({**SETTINGS, "algo": ["gpc", "drifting:Linear"], "step_size": [0.2, 0.5]}, both, tmp_path)
 
 
 def test_names():

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from gpcjax.engine import streams
 from gpcjax.engine.history import Credit
-from gpcjax.engine.lanes import LOGGED_CORRECTIONS, CorrectionLog, Lane, Tally
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS, CorrectionLog, Lane, Phase, Tally
 from gpcjax.engine.lanewise import each, opaque, put, take
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.moment import Moment
@@ -129,7 +129,8 @@ def _idle(block: Lane) -> Lane:
             status.at[lane].max(outcome),
         )
 
-    due = block.waiting & idle_is_due(block.learner, block.env.time)
+    # One that waits for room comes back to this step, with the correction that is to come first.
+    due = block.waiting & (block.phase == Phase.RUNNING) & idle_is_due(block.learner, block.env.time)
     state, controller, status = each(due, body, (block.state, block.controller, block.status))
     return dataclasses.replace(block, state=state, controller=controller, status=status)
 

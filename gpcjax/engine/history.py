@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.lateness import lateness
+from gpcjax.lateness import CREDIT, lateness
 from gpcjax.moment import Moment
 
 
@@ -29,7 +29,7 @@ class Credit(eqx.Module):
         Raises:
             UserError: they do not fit together (`gpcjax.lateness`).
         """
-        chances = lateness("credit", seconds, longest, shape, time_step)
+        chances = lateness(CREDIT, seconds, longest, shape, time_step)
         first = next(index for index, chance in enumerate(chances) if chance > 0)
         return None if len(chances) == 1 else cls(weights=jnp.asarray(chances[first:]), first=first)
 

@@ -17,7 +17,8 @@ from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
-from gpcjax.envs.host import UNLIMITED, HostEnv
+from gpcjax.envs.brax_tasks import KNOWN
+from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
 from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
 
@@ -32,12 +33,13 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
     """
     full = f"{prefix}:{name}"
     if prefix == "gym":
-        make: Any = functools.partial(HostEnv, full, name, None)
+        make: Any = functools.partial(gym_env, name)
         made: Env | HostEnv = _refusing(full, make)
         return TaskSpec(full, make, on_host=True, sizes=_sizes_of(made), time_step=_time_step(made))
     make = functools.partial(brax_env, name, name=full)
     made = _refusing(full, make)
-    return TaskSpec(full, make, sizes=_sizes_of(made), time_step=_time_step(made))
+    known = KNOWN.get(name, {})
+    return TaskSpec(full, make, sizes=_sizes_of(made), time_step=_time_step(made), **known)
 
 
 def _sizes_of(env: Env | HostEnv) -> tuple[int, int]:

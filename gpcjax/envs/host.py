@@ -1,5 +1,6 @@
 """Tasks that gymnasium simulates on the host, one object an episode, beside those that are compiled."""
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -91,9 +92,12 @@ class HostEnv:
 
     @property
     def time_step(self) -> float | None:
-        """Seconds of a step, where the environment says how many frames it shows in one."""
-        frames = (getattr(self._make(), "metadata", None) or {}).get("render_fps")
-        return 1.0 / frames if isinstance(frames, int | float) and frames > 0 else None
+        """Seconds of a step: `dt` of the environment, or what its frames a second say; None if it says neither."""
+        env = self._make()
+        step = getattr(getattr(env, "unwrapped", env), "dt", None)
+        frames = (getattr(env, "metadata", None) or {}).get("render_fps")
+        said = [converted(float, step), *(1.0 / rate for rate in (converted(float, frames),) if rate)]
+        return next((value for value in said if value is not None and 0 < value < math.inf), None)
 
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
@@ -205,3 +209,23 @@ def lunar_lander(max_steps: int = 1000) -> HostEnv:
     0.5 of 0).
     """
     return HostEnv("lunarlander", "LunarLander-v3", max_steps, MappingProxyType({"continuous": True}))
+
+
+def gym_env(env: Any, *, max_steps: Any = None, name: Any = None, **arguments: Any) -> HostEnv:
+    """Any task of gymnasium with a bounded flat Box of actions and a flat Box of observations, simulated on the host.
+
+    Args:
+        env: the id that gymnasium knows it by, or the class of an environment.
+        max_steps: after which an episode is truncated; without it the task keeps its own time limit and truncation.
+        name: under which results are kept; by default `gym:ID`, or the name of the class.
+        **arguments: of `gymnasium.make`, or of the class.
+
+    Raises:
+        ValueError: gymnasium does not know it, a part of it is not installed, or its spaces are others.
+    """
+    if not isinstance(env, str | type) or (isinstance(env, str) and not env):
+        raise UserError(f"env {shown(env)}: give the id of a task of gymnasium, or the class of one")
+    if name is not None and (not isinstance(name, str) or not name):
+        raise UserError(f"name {shown(name)}: give a word")
+    label = name or (env.__name__ if isinstance(env, type) else f"gym:{env}")
+    return HostEnv(label, env, max_steps, MappingProxyType(arguments))

@@ -120,8 +120,9 @@ class Learner(ByIdentity):
     ) -> tuple[State, Info]:
         """What `state` becomes with one correction, and what was done (`Info.of`).
 
-        `advice` has -1, 0 or 1 for each action dimension, one of them other than 0. Nothing that is not finite needs to
-        be kept out: such a state is dropped, and the correction has `Status.NON_FINITE`.
+        `advice` has -1, 0 or 1 for each action dimension, one of them other than 0; parts of these where credit for
+        late advice goes to several steps. Nothing that is not finite needs to be kept out: such a state is dropped, and
+        the correction has `Status.NON_FINITE`.
         """
         raise NotImplementedError(f"{type(self).__name__} has no learn: write it")
 

@@ -67,7 +67,8 @@ class COACH(Learner):
         estimate = (state.human * features).sum()  # line 7, before the update of psi
         alpha = jnp.abs(estimate) + constant  # line 10
         rate = alpha * magnitude * (features * features).sum()
-        human_step = beta * (advice - estimate)  # line 8
+        # A part of an advice, where credit goes to several steps, is a step of that part towards all of it.
+        human_step = beta * jnp.abs(advice) * (jnp.sign(advice) - estimate)  # line 8
         policy_step = alpha * advice * magnitude  # line 11
         policy, human = state.policy + policy_step * features, state.human + human_step * features
         finite = jnp.isfinite(rate) & jnp.isfinite(action)

@@ -22,8 +22,11 @@ from gpcjax.allowed import (
 )
 from gpcjax.describe import LearnerSpec, TaskSpec
 from gpcjax.errors import UserError
+from gpcjax.gp.appending import Appending
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import GaussianProcess
+from gpcjax.gp.process import GaussianProcess
+from gpcjax.gp.renormalised import Renormalised
+from gpcjax.gp.replacing import Replacing
 from gpcjax.learners.base import Learner
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.descriptions import CAPACITY, ON_FULL
@@ -169,26 +172,19 @@ def _gpc(
     )
     policy_nu = checked("policy_nu", policy_nu, float, ALLOWED["policy_nu"])
     noise = _number("noise", noise)
-    processes = {
-        name: GaussianProcess(
-            Kernel(
-                variance=_number(f"{name}_variance", variance),
-                length_scale=_number(f"{name}_length_scale", length_scale),
-                smoothness=smoothness,
-            ),
-            noise=noise,
-            normalise=normalise,
-            keeps_weights=name == "policy",
-            replaces=name == "policy" or on_full == "replace-nearest",
-        )
-        for name, variance, length_scale, smoothness in (
-            ("policy", policy_variance, policy_length_scale, policy_nu),
-            ("human", human_variance, human_length_scale, SQUARED_EXPONENTIAL),
-        )
-    }
+    policy = Kernel(
+        variance=_number("policy_variance", policy_variance),
+        length_scale=_number("policy_length_scale", policy_length_scale),
+        smoothness=policy_nu,
+    )
+    human = Kernel(
+        variance=_number("human_variance", human_variance),
+        length_scale=_number("human_length_scale", human_length_scale),
+        smoothness=SQUARED_EXPONENTIAL,
+    )
     return GPC(
-        policy=processes["policy"],
-        human=processes["human"],
+        policy=Renormalised(policy, noise) if normalise else Replacing(policy, noise),
+        human=_human_model(normalise, on_full, human, noise),
         scaling=_vector("scaling", 1.0 if scaling is None else scaling, obs_size),
         constant_rate=_number("constant_rate", constant_rate),
         static_rate=None if static_rate is None else _number("static_rate", static_rate),
@@ -199,6 +195,15 @@ def _gpc(
         policy_capacity=policy_capacity,
         human_capacity=human_capacity,
     )
+
+
+def _human_model(normalise: bool, on_full: str, kernel: Kernel, noise: Array) -> GaussianProcess:
+    """H, of which only the uncertainty is wanted; it replaces points only where a full one is to."""
+    if normalise:
+        return Renormalised(kernel, noise, keeps_weights=False)
+    if on_full == "replace-nearest":
+        return Replacing(kernel, noise, keeps_weights=False)
+    return Appending(kernel, noise)
 
 
 def make_coach(

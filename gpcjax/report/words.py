@@ -33,6 +33,12 @@ def algorithm(name: str) -> str:
     return name if (spec := _spec("learner", name)) is None else spec.title
 
 
+def drawn_algorithm(name: str) -> str:
+    """The same in a legend, where a dollar would begin a formula and an underscore at the front hide the line."""
+    label = algorithm(name).replace("$", "\\$")
+    return f" {label}" if label.startswith("_") else label
+
+
 def task(name: str) -> str:
     """A task as a sentence calls it."""
     return name if (spec := _spec("task", name)) is None else spec.title

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gpcjax.engine.lanes import Lane
-from gpcjax.gp import regression
 from gpcjax.gp.fit import fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import GaussianProcess, Posterior
+from gpcjax.gp.posterior import Posterior
+from gpcjax.gp.replacing import Replacing
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.gpc import GPC
 from gpcjax.registry import find
@@ -108,13 +108,13 @@ def _regression(
     kernel: Kernel, noise: Any, points: Any, targets: Any, x: Any
 ) -> tuple[Float[Array, " grid"], Float[Array, " grid"], Float[Array, ""]]:
     """Mean and standard deviation over `x`, and the log marginal likelihood."""
-    process = GaussianProcess(kernel, noise)
+    process = Replacing(kernel, noise)
 
     def put(posterior: Posterior, pair: Any) -> tuple[Posterior, None]:
         point, target = pair[0][None], pair[1]
         reading = process.read(posterior, (), process.covariances(posterior, point))
         change = process.put(posterior, (), reading, point, target, posterior.count, jnp.array(True))
-        return regression.write(posterior, (), change), None
+        return change.write(posterior, ()), None
 
     posterior, _ = jax.lax.scan(put, process.init(points.size, jnp.ones(1)), (points, targets))
 

@@ -14,9 +14,13 @@ _EPISODE = {
     ("lunarlander", "gpc"): 1.3e-2,
     ("lunarlander", "gpc-ns"): 2.2e-1,
     ("lunarlander", "coach"): 7e-3,
+    ("mountaincar", "gpc"): 9e-4,
+    ("mountaincar", "gpc-ns"): 5e-3,
+    ("mountaincar", "coach"): 3e-4,
 }
 """Seconds of an episode, with an expert whose target costs no more than a step: the mean of a task is that of its
-experiment in docs/reproduction, the ratios of its learners are those of `benchmarks/README.md`."""
+experiment in docs/reproduction, the ratios of its learners are those of `benchmarks/README.md`. The mountain car's are
+those of its grids (sweeps/grid_mountaincar_*.toml)."""
 
 _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of

@@ -153,14 +153,18 @@ def settings_of(
     return found
 
 
-TUNING = tuple(
-    option_of(settings[0])
-    for settings in settings_of(
-        (find("learner", name) for name in built_in("learner")),
-        (find("teacher", name) for name in built_in("teacher")),
-    ).values()
+def _tuning(settings: Iterable[Setting]) -> tuple[Option, ...]:
+    """An option for each name among settings."""
+    return tuple({setting.name: option_of(setting) for setting in reversed([*settings])}.values())[::-1]
+
+
+OF_LEARNERS, OF_TEACHERS = (
+    _tuning(setting for name in built_in(kind) for setting in find(kind, name).settings)
+    for kind in ("learner", "teacher")
 )
-"""Of the built-in learners and teachers."""
+"""Of the built-in ones."""
+OF_CREDIT = _tuning(CREDIT)
+TUNING = OF_LEARNERS + OF_TEACHERS + OF_CREDIT
 
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),

@@ -123,7 +123,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     A program that has been seen for a while costs what it did so far, in seconds a step; another one what
     `costs` says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
     they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
-    as `executors` hands it out: a program each, and those who have no more join the one with most left.
+    as `sharing` hands it out: a program each, and those who have no more join the one with most left.
     """
     if all(work.finished >= work.cells and not work.workers for work in works):
         return 0.0

@@ -11,6 +11,7 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
+from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find
 from gpcjax.sweep.options import (
@@ -234,8 +235,9 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
-    for word in ("delay", "credit"):
-        check_lateness(word, fields["hyperparameters"], task.seconds)
+    places = {name: setting.where for name, setting in known.items()}
+    for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
+        check_lateness(names, fields["hyperparameters"], places, task.seconds)
     return SweepSpec(**fields)
 
 

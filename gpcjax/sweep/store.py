@@ -242,7 +242,9 @@ def read(out: Path, say: Say = warn) -> Rows:
         )
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return Rows(
-        _frame(episodes, ["episode"]), _frame(corrections, ["episode", "step", "action_dim"]), manifest
+        _frame(episodes, varying, ["episode"]),
+        _frame(corrections, [*map(_correction_column, varying)], ["episode", "step", "action_dim"]),
+        manifest,
     )
 
 
@@ -327,14 +329,14 @@ def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]])
     return table.filter(pa.array([key in cells for key in each], pa.bool_()))
 
 
-def _frame(tables: Sequence[pa.Table], order: list[str]) -> pd.DataFrame:
+def _frame(tables: Sequence[pa.Table], varying: Sequence[str], order: Sequence[str]) -> pd.DataFrame:
+    """All rows; what a learner measures besides has no part in their order."""
     if not tables:
         return pd.DataFrame()
     frame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
     others = sorted({*frame["algo"]} - {*built_in("learner")})
     ranks = {name: rank for rank, name in enumerate([*built_in("learner"), *others])}
-    after = list(frame.columns)[list(frame.columns).index("status" if "status" in frame else "full") + 1 :]
-    keys = ["algo", "oracle", "error", *after, "seed", *order]
+    keys = ["algo", "oracle", "error", *varying, "seed", *order]
     return frame.sort_values(
         keys, key=lambda column: column.map(ranks) if column.name == "algo" else column, kind="stable"
     ).reset_index(drop=True)

@@ -4,7 +4,6 @@ Beside them what people do that an oracle does not: late advice, attention that 
 """
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from gpcjax.elementary import decay
 from gpcjax.errors import UserError
-from gpcjax.lateness import lateness
+from gpcjax.lateness import DELAY, lateness
 from gpcjax.moment import Moment
 from gpcjax.policies.base import ByIdentity, Vector, check_executed, vector
 from gpcjax.teachers.base import Teacher
@@ -107,7 +106,7 @@ class Oracle(Teacher):
         """Gamma = c_a * sigma_h + gamma_c (section 4.1.3), at most 1."""
         rate, gain = (jnp.broadcast_to(value, sigma_human.shape) for value in (self.rate, self.active_gain))
         chance = jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
-        return chance if self.willing is None else chance * self.willing
+        return chance if self.willing is None else chance * jnp.broadcast_to(self.willing, chance.shape)
 
     def may_advise(
         self,
@@ -156,8 +155,8 @@ def synthesised(
     Args:
         rate, error, delta, active_gain, schedule, fading: see `Oracle`.
         delay, delay_longest, delay_shape: seconds between a step and the advice about it (`lateness`).
-        attention, distraction: mean seconds that the teacher looks, and looks away; the second is the first's if it is
-            not given.
+        attention, distraction: mean seconds that the teacher looks, and looks away, a step at least; the second is the
+            first's if it is not given.
         whole_error: 1 for `Oracle.whole`.
         time_step: seconds of a step.
 
@@ -167,9 +166,10 @@ def synthesised(
     numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
     if attention is None and distraction is not None:
         raise UserError("distraction: without attention it changes nothing, give both")
-    late = lateness("delay", delay, delay_longest, delay_shape, time_step)
+    late = lateness(DELAY, delay, delay_longest, delay_shape, time_step)
     spells = (attention, attention if distraction is None else distraction)
-    away, back = (None if spell is None else -math.expm1(-time_step / spell) for spell in spells)
+    # Spells are geometric: a chance of 1 / n at each step ends one after n steps in the mean.
+    away, back = (None if spell is None else min(time_step / spell, 1.0) for spell in spells)
     values = {"schedule": schedule, "looks_away": away, "looks_back": back, "fading": fading, **numbers}
     arrays: dict[str, Any] = {
         name: None if value is None else jnp.asarray(value, float) for name, value in values.items()

@@ -78,7 +78,7 @@ def described_record(path: str, where: str) -> TeacherSpec:
 def read_advice(path: str) -> np.ndarray:
     """The advice of the recording of a session: (episodes, steps, action), int8, 0 where there was none.
 
-    Of several at one step the last one holds; what was undone was not given.
+    Of several at one step the last one holds, for each action dimension; what was undone was not given.
 
     Raises:
         UserError: it is no recording, has no advice, or advice of different sizes.
@@ -103,5 +103,5 @@ def read_advice(path: str) -> np.ndarray:
         )
     table = np.zeros((episodes, steps, sizes.pop()), np.int8)
     for episode, step, advice in given:
-        table[episode, step] = advice
+        table[episode, step] = np.where(np.asarray(advice) != 0, advice, table[episode, step])
     return table

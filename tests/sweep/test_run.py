@@ -43,7 +43,7 @@ SPEC = spec_of(**SETTINGS)
 def pretend(monkeypatch):
     def make(*arguments, **options):
         pretended = Pretended(*arguments, **options)
-        monkeypatch.setattr(run_module, "Executors", pretended)
+        monkeypatch.setattr(run_module, "Processes", pretended)
         return pretended
 
     return make
@@ -141,6 +141,8 @@ def test_rows_are_flushed_while_it_runs(tmp_path, pretend, monkeypatch):
     seen = []
 
     def work(cells, baselines, on_rows, on_baseline, on_progress):
+        for _, name in baselines:
+            on_baseline(name, BASELINE)
         for cell in cells:
             time.sleep(0.02)
             on_rows(rows(cell))

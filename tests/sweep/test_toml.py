@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gpcjax import cli
-from gpcjax.envs.registry import expert_names
+from gpcjax.envs.registry import expert_names, task
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS
 from gpcjax.sweep.plan import count
@@ -14,6 +14,7 @@ from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 SHIPPED = sorted(SWEEPS.glob("*.toml"))
+GRIDS = [path.stem for path in SHIPPED if path.stem.startswith("grid_")]
 SOME = """
 env = "cartpole"
 error = [0, 0.1]
@@ -124,7 +125,16 @@ class TestShipped:
 def test_every_experiment_has_its_file_and_every_file_its_part():
     experiments = [name for part in PARTS.values() for name in part.experiments]
     assert len(set(experiments)) == len(experiments)
-    assert sorted(experiments) == [path.stem for path in SHIPPED]
+    assert sorted(experiments) == [path.stem for path in SHIPPED if path.stem not in GRIDS]
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_preset_is_a_point_of_the_grid_that_it_comes_from(name):
+    grid = spec(SWEEPS / f"{name}.toml")
+    (algo,), preset = grid.algo, task(grid.env).presets[grid.algo[0]]
+    assert name == f"grid_{grid.env}_{algo}"
+    for hyperparameter, values in grid.hyperparameters.items():
+        assert preset[hyperparameter] in values and len(values) > 1
 
 
 def test_an_experiment_comes_after_the_one_whose_rates_it_takes():
