@@ -43,12 +43,14 @@ DEFAULTS: Mapping[str, Any] = {
 def quiet() -> Iterator[None]:
     """Without what brax and mujoco say when they are imported: that parts nobody asked for are missing, or are old."""
     said = io.StringIO()
-    with warnings.catch_warnings(), contextlib.redirect_stdout(said):
-        warnings.filterwarnings("ignore", message="Brax System")
-        yield
-    for line in said.getvalue().splitlines():
-        if not line.startswith("Failed to import "):
-            print(line)
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(said):
+            warnings.filterwarnings("ignore", message="Brax System")
+            yield
+    finally:
+        for line in said.getvalue().splitlines():
+            if not line.startswith("Failed to import "):
+                print(line)
 
 
 def train(task: str, seed: int, settings: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -65,6 +67,7 @@ def train(task: str, seed: int, settings: Mapping[str, Any]) -> dict[str, np.nda
         from flax import linen
 
         env = brax.envs.get_environment(task)
+    jax.config.update("jax_enable_x64", False)
     if not hasattr(jax, "device_put_replicated"):
         # brax 0.14.2 calls it, jax 0.10 no longer has it. On one device it is one more axis.
         jax.device_put_replicated = lambda tree, devices: jax.tree.map(  # pyright: ignore

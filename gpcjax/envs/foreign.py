@@ -17,7 +17,7 @@ from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
-from gpcjax.envs.brax_tasks import KNOWN
+from gpcjax.envs.brax_tasks import KNOWN, Known
 from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
 from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
@@ -36,10 +36,18 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
         make: Any = functools.partial(gym_env, name)
         made: Env | HostEnv = _refusing(full, make)
         return TaskSpec(full, make, on_host=True, sizes=_sizes_of(made), time_step=_time_step(made))
-    make = functools.partial(brax_env, name, name=full)
+    known = KNOWN.get(name, Known("", ""))
+    make = functools.partial(brax_env, name, name=full, max_steps=known.max_steps)
     made = _refusing(full, make)
-    known = KNOWN.get(name, {})
-    return TaskSpec(full, make, sizes=_sizes_of(made), time_step=_time_step(made), **known)
+    return TaskSpec(
+        full,
+        make,
+        label=known.label,
+        unit=known.unit,
+        actions=known.actions,
+        sizes=_sizes_of(made),
+        time_step=_time_step(made),
+    )
 
 
 def _sizes_of(env: Env | HostEnv) -> tuple[int, int]:

@@ -61,7 +61,7 @@ def _code(code: Code) -> str:
 
 def _table(sheet: Sheet) -> str:
     """Minus signs of numbers are as wide as their plus."""
-    kinds = [sheet.kind(column) for column in sheet.columns]
+    kinds: list[Kind] = [sheet.kind(column) for column in sheet.columns]
     head = "".join(
         f"<th{_class(kind)}>{escape(name)}</th>" for name, kind in zip(sheet.columns, kinds, strict=True)
     )

@@ -3,7 +3,6 @@
 import importlib.metadata
 import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from gpcjax.envs.brax_training import DEFAULTS
 from gpcjax.envs.registry import make_env
 from gpcjax.policies.base import Policy
 from gpcjax.policies.network import NetworkController
+from gpcjax.sweep.environment import python
 
 STARTS = 100
 
@@ -32,6 +32,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     },
     "reacher": {
         "num_timesteps": 6_000_000,
+        "episode_length": 50,
         "num_updates_per_batch": 8,
         "discounting": 0.95,
         "reward_scaling": 5.0,
@@ -47,26 +48,26 @@ def trained(name: str, seed: int = 0) -> tuple[NetworkController, dict[str, Any]
         RuntimeError: the training failed; its last lines are in the message.
     """
     settings = {**DEFAULTS, **SETTINGS.get(name, {})}
+    reached: dict[str, Any] = {"steps": 0}
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "policy.npz"
-        command = [
-            sys.executable,
-            "-m",
-            "gpcjax.envs.brax_training",
-            name,
-            file,
-            str(seed),
-            json.dumps(settings),
-        ]
+        command = [*python("gpcjax.envs.brax_training"), name, str(file), str(seed), json.dumps(settings)]
         with open(Path(scratch) / "stderr", "w+") as errors:
             running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
-            assert running.stdout is not None
-            for line in running.stdout:
-                said = json.loads(line)
-                print(f"brax:{name}: {said['steps']:,} steps, return {said['return']:.1f}", flush=True)
-            if running.wait():
+            try:
+                assert running.stdout is not None
+                for line in filter(lambda line: line.startswith("{"), running.stdout):
+                    reached = json.loads(line)
+                    print(
+                        f"brax:{name}: {reached['steps']:,} steps, return {reached['return']:.1f}", flush=True
+                    )
+                status = running.wait()
+            finally:  # it does not outlive this process
+                running.kill()
+                running.wait()
+            if not file.exists():
                 errors.seek(0)
-                raise RuntimeError(f"brax:{name}: the training failed: {errors.read()[-2000:]}")
+                raise RuntimeError(f"brax:{name}: the training failed ({status}): {errors.read()[-2000:]}")
         with np.load(file) as arrays:
             controller = network_of(dict(arrays))
     returns = np.asarray(evaluate(make_env(f"brax:{name}"), Policy(controller), STARTS).returns)
@@ -75,7 +76,7 @@ def trained(name: str, seed: int = 0) -> tuple[NetworkController, dict[str, Any]
         "learner": "ppo of brax",
         "brax": importlib.metadata.version("brax"),
         "seed": seed,
-        "steps": settings["num_timesteps"],
+        "steps": reached["steps"],
         "training": settings,
         "starts": STARTS,
         "return_mean": float(returns.mean()),
