@@ -7,7 +7,6 @@ What makes a part whole, and one of this sweep, is in `gpcjax.sweep.parts`.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +62,7 @@ class CellRows(NamedTuple):
     """The measurements of `gpcjax.engine.lanes.EpisodeRows`, [e] each."""
     corrections: dict[str, np.ndarray]
     """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
-    own: Mapping[str, np.ndarray] = MappingProxyType({})
+    own: Mapping[str, np.ndarray] = field(default_factory=dict)
     """What the learner measures besides, [e] each."""
 
 
