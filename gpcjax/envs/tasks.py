@@ -1,7 +1,8 @@
 """The built-in tasks: their descriptions, with hyperparameters for each learner. Data only, no jax.
 
 Tables 5.1 to 5.3 of the thesis for GPC and GPC-NS, Table A.1 for COACH. How large observations are (`obs_scale`) is
-what the thesis divides them by for GPC; the lander's are about one by themselves. The mountain car is not of the thesis.
+what the thesis divides them by for GPC; the lander's are about one by themselves. The mountain car is not of the
+thesis.
 """
 
 from types import MappingProxyType
