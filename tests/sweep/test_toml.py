@@ -8,6 +8,7 @@ import pytest
 from gpcjax import cli
 from gpcjax.envs.registry import expert_names, task
 from gpcjax.errors import UserError
+from gpcjax.registry import find
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS
 from gpcjax.sweep.plan import count
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
@@ -131,7 +132,8 @@ def test_every_experiment_has_its_file_and_every_file_its_part():
 @pytest.mark.parametrize("name", GRIDS)
 def test_a_preset_is_a_point_of_the_grid_that_it_comes_from(name):
     grid = spec(SWEEPS / f"{name}.toml")
-    (algo,), preset = grid.algo, task(grid.env).presets[grid.algo[0]]
+    (algo,) = grid.algo
+    preset = {**find("learner", algo).defaults, **task(grid.env).presets.get(algo, {})}
     assert name == f"grid_{grid.env}_{algo}"
     for hyperparameter, values in grid.hyperparameters.items():
         assert preset[hyperparameter] in values and len(values) > 1
