@@ -62,7 +62,7 @@ class CellRows(NamedTuple):
     """The measurements of `gpcjax.engine.lanes.EpisodeRows`, [e] each."""
     corrections: dict[str, np.ndarray]
     """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
-    own: Mapping[str, np.ndarray] = field(default_factory=dict)
+    own: Mapping[str, np.ndarray] = {}
     """What the learner measures besides, [e] each."""
 
 
