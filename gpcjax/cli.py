@@ -187,13 +187,13 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
     folder = Path(os.path.expanduser(setting.value))
     for name in ("rate_schedule", "rate"):
         if name in given:
-            raise UserError(f"{given[name].where}: beside rate_from it changes nothing, give one of the two")
+            raise UserError(f"{given[name].source}: beside rate_from it changes nothing, give one of the two")
     check_report(folder)
     if dry_run:
         return given
     from gpcjax.sweep.schedule import offered_rates
 
-    return given | {"rate_schedule": Given(offered_rates(folder), setting.where)}
+    return given | {"rate_schedule": Given(offered_rates(folder), setting.source)}
 
 
 def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:

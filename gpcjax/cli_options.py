@@ -327,16 +327,18 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given | Unchecked]:
             given[option.name] = Given(checked, option.flag)
     for word in arguments.set:
         key, equals, text = word.partition("=")
-        name, where = key.strip().replace("-", "_"), f"--set {key.strip()}"
+        name, source = key.strip().replace("-", "_"), f"--set {key.strip()}"
         if not equals or not name.isidentifier():
             raise UserError(f"--set {shown(word)}: give NAME=VALUE, or NAME=A,B for several values")
         if name in given:
-            raise UserError(f"{where} is given twice: give it once")
+            raise UserError(f"{source} is given twice: give it once")
         option = OPTIONS.get(name)
         if option is None:
-            given[name] = Unchecked(text, where, key.strip())
+            given[name] = Unchecked(text, source, key.strip())
         elif option.kind is bool:
-            raise UserError(f"{where}: a switch takes no value, give {option.flag} or --no-{option.flag[2:]}")
+            raise UserError(
+                f"{source}: a switch takes no value, give {option.flag} or --no-{option.flag[2:]}"
+            )
         else:
-            given[name] = Given(parse(option, text, where), where)
+            given[name] = Given(parse(option, text, source), source)
     return given

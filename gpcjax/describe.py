@@ -190,13 +190,15 @@ OF_EVERY_SWEEP = frozenset(
 """Names of settings that no learner and no teacher can have for its own."""
 
 
-def settings_from(where: str, found: Callable[..., Any], others: tuple[str, ...] = ()) -> tuple[Setting, ...]:
+def settings_from(
+    source: str, found: Callable[..., Any], others: tuple[str, ...] = ()
+) -> tuple[Setting, ...]:
     """The arguments with a number as their default, but for `others`, of what makes a learner or a teacher.
 
     Whole numbers are compiled in; all others are data of one program.
 
     Raises:
-        UserError: one of them has the name of a setting of every sweep; `where` begins the message.
+        UserError: one of them has the name of a setting of every sweep; `source` begins the message.
     """
     fields = {each.name: each.default for each in getattr(found, "__dataclass_fields__", {}).values()}
     settings = []
@@ -205,7 +207,9 @@ def settings_from(where: str, found: Callable[..., Any], others: tuple[str, ...]
         if name in others or not isinstance(default, numbers.Real) or isinstance(default, bool):
             continue
         if name in OF_EVERY_SWEEP:
-            raise UserError(f"{where}: its argument {name} is a setting of every sweep, give it another name")
+            raise UserError(
+                f"{source}: its argument {name} is a setting of every sweep, give it another name"
+            )
         whole = isinstance(default, numbers.Integral)
         settings.append(
             Setting(

@@ -65,22 +65,22 @@ def check(
         lateness(told, seconds, longest, shape, time_step)
 
 
-def _gamma(where: str, mean: float, shape: float, time_step: float) -> tuple[float, ...]:
+def _gamma(source: str, mean: float, shape: float, time_step: float) -> tuple[float, ...]:
     import numpy as np
     from scipy.special import gammainc, gammaincinv
 
     scale = mean / shape
     last = _steps(float(gammaincinv(shape, _COVERED)) * scale, time_step)
-    _check(where, last, time_step)
+    _check(source, last, time_step)
     edges = np.maximum(np.arange(last + 2) - 0.5, 0.0) * time_step
     chances = np.diff(gammainc(shape, edges / scale))
     return tuple((chances / chances.sum()).tolist())
 
 
-def _check(where: str, last: int, time_step: float) -> None:
+def _check(source: str, last: int, time_step: float) -> None:
     if last > MOST:
         raise UserError(
-            f"{where}: {last:,} steps of {time_step:g} s, {MOST:,} are kept at most: give fewer seconds"
+            f"{source}: {last:,} steps of {time_step:g} s, {MOST:,} are kept at most: give fewer seconds"
         )
 
 

@@ -66,18 +66,18 @@ def teacher_names() -> tuple[str, ...]:
     return names("teacher")
 
 
-def find(kind: Kind, name: Any, where: str = "") -> Any:
-    """The description that a name stands for. `where` begins the messages, the setting that takes such names if empty.
+def find(kind: Kind, name: Any, source: str = "") -> Any:
+    """The description that a name stands for. `source` begins the messages, the setting that takes such names if empty.
 
     Raises:
         UserError: nothing has that name, or what has it is not of this kind.
         ForeignError: the module that it names cannot be imported.
     """
-    where = where or _WORD[kind]
+    source = source or _WORD[kind]
     if not isinstance(name, str):
-        raise UserError(f"{where} {shown(name)}: give {_choices(kind)}")
+        raise UserError(f"{source} {shown(name)}: give {_choices(kind)}")
     if (kind, name) not in _FOUND:
-        _FOUND[kind, name] = _built_in(kind).get(name) or _elsewhere(kind, name, where)
+        _FOUND[kind, name] = _built_in(kind).get(name) or _elsewhere(kind, name, source)
     return _FOUND[kind, name]
 
 
@@ -85,20 +85,20 @@ _FOUND: dict[tuple[Kind, str], Spec] = {}
 """What was found: a person's module is imported, and what it makes is looked at, once in a process."""
 
 
-def _elsewhere(kind: Kind, name: str, where: str) -> Spec:
+def _elsewhere(kind: Kind, name: str, source: str) -> Spec:
     prefix, colon, rest = name.partition(":")
     if colon and kind == "task" and prefix in ("gym", "brax"):
         return resolve("gpcjax.envs.foreign:described_elsewhere")(prefix, rest)
     if colon and kind == "teacher" and prefix == "replay":
-        return resolve("gpcjax.teachers.replay:described_record")(rest, where)
+        return resolve("gpcjax.teachers.replay:described_record")(rest, source)
     if colon:
-        return described(kind, name, imported(name, f"{where} {name}"))
+        return described(kind, name, imported(name, f"{source} {name}"))
     if name in _entry_points(kind):
         point = _entry_points(kind)[name]
-        with _told(f"{where} {name}", point.module):
+        with _told(f"{source} {name}", point.module):
             found = point.load()
         return described(kind, name, found)
-    raise UserError(f"{where} {shown(name)}: give {_choices(kind)}{suggestion(name, names(kind))}")
+    raise UserError(f"{source} {shown(name)}: give {_choices(kind)}{suggestion(name, names(kind))}")
 
 
 def described(kind: Kind, name: str, found: Any) -> Spec:
@@ -127,8 +127,8 @@ def resolve(target: str | Callable[..., Any]) -> Any:
     return getattr(importlib.import_module(module), attribute)
 
 
-def imported(name: str, where: str) -> Any:
-    """What a person's "module:attribute" stands for. `where` begins the messages.
+def imported(name: str, source: str) -> Any:
+    """What a person's "module:attribute" stands for. `source` begins the messages.
 
     Raises:
         UserError: it is no such name, there is no such module, or nothing of that name in it.
@@ -136,11 +136,11 @@ def imported(name: str, where: str) -> Any:
     """
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in [*module.split("."), *attribute.split(".")]):
-        raise UserError(f"{where}: give module:NAME, as in mytask:Drift")
+        raise UserError(f"{source}: give module:NAME, as in mytask:Drift")
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)  # last: nothing in the folder stands before what is installed
-    with _told(where, module):
+    with _told(source, module):
         found = importlib.import_module(module)
     for part in attribute.split("."):
         if not hasattr(found, part):
@@ -149,7 +149,7 @@ def imported(name: str, where: str) -> Any:
                 if hasattr(found, "__dict__")
                 else []
             )
-            raise UserError(f"{where}: {module} has no {attribute}{suggestion(part, known)}")
+            raise UserError(f"{source}: {module} has no {attribute}{suggestion(part, known)}")
         found = getattr(found, part)
     return found
 
@@ -157,8 +157,8 @@ def imported(name: str, where: str) -> Any:
 class _told:
     """Around an import: what goes wrong there is told as somebody else's."""
 
-    def __init__(self, where: str, module: str):
-        self._where, self._module = where, module
+    def __init__(self, source: str, module: str):
+        self._where, self._module = source, module
 
     def __enter__(self) -> None:
         pass

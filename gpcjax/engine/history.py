@@ -59,9 +59,9 @@ class History(eqx.Module):
     def depth(self) -> int:
         return self.obs.shape[0]
 
-    def with_step(self, moment: Moment, where: Bool[Array, " lanes"]) -> "History":
-        """With a step of the lanes `where` it was executed, in place of their oldest."""
-        place = jnp.where(where, moment.step % self.depth, self.depth)  # behind the last one: dropped
+    def with_step(self, moment: Moment, mask: Bool[Array, " lanes"]) -> "History":
+        """With a step of the lanes `mask` it was executed, in place of their oldest."""
+        place = jnp.where(mask, moment.step % self.depth, self.depth)  # behind the last one: dropped
         lane = jnp.arange(place.shape[0])
         return History(
             obs=self.obs.at[place, :, lane].set(moment.obs.T, mode="drop"),

@@ -167,12 +167,12 @@ class Loop(eqx.Module):
         env: PyTree,
         tally: Tally,
         action: Float[Array, "action lanes"],
-        where: Bool[Array, " lanes"],
+        mask: Bool[Array, " lanes"],
     ) -> tuple[PyTree, Tally]:
-        """One step of the task, for the lanes `where`."""
+        """One step of the task, for the lanes `mask`."""
         after = jax.vmap(partial(stepped, self.env), in_axes=-1, out_axes=-1)(env, action)
-        env = jax.tree.map(lambda new, old: jnp.where(where, new, old), after, env)
-        return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(where, after.reward, 0.0))
+        env = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, env)
+        return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(mask, after.reward, 0.0))
 
     def _execute(self, block: Lane) -> Lane:
         """The step that the waiting lanes have chosen before they were corrected."""

@@ -261,8 +261,8 @@ class Session:
         return session
 
     @classmethod
-    def _at(cls, where: str, learner: Learner, state: State | None, kept: Mapping[str, Any]) -> "Session":
-        """A session with these settings, at this place: what `save` and a recording keep. `where` begins messages."""
+    def _at(cls, source: str, learner: Learner, state: State | None, kept: Mapping[str, Any]) -> "Session":
+        """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
             if settings.keys() != _NUMBERS.keys():
@@ -270,9 +270,9 @@ class Session:
             session = cls(learner, state, **settings)
             session._move(place)
         except UserError as error:
-            raise UserError(f"{where}: {error}") from None
+            raise UserError(f"{source}: {error}") from None
         except (KeyError, TypeError, ValueError):
-            raise UserError(f"{where}: this is no session of such a learner") from None
+            raise UserError(f"{source}: this is no session of such a learner") from None
         return session
 
     def _place(self) -> dict[str, Any]:

@@ -41,17 +41,17 @@ def seen(
     return Moment(obs=obs, action=action, episode=block.episode, step=time, draws=drawn)
 
 
-def watch(block: Lane, memory: PyTree, moment: Moment, where: Bool[Array, " lanes"]) -> PyTree:
-    """The memories of the teachers of the lanes `where` that take a step; nothing is done where none watches."""
+def watch(block: Lane, memory: PyTree, moment: Moment, mask: Bool[Array, " lanes"]) -> PyTree:
+    """The memories of the teachers of the lanes `mask` that take a step; nothing is done where none watches."""
     if not block.teacher.watches:
         return memory
     after = block.teacher.during(block.episode).watch(memory, moment)
-    return jax.tree.map(lambda new, old: jnp.where(where, new, old), after, memory)
+    return jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, memory)
 
 
-def remember(history: History | None, moment: Moment, where: Bool[Array, " lanes"]) -> History | None:
-    """The steps that are kept, with one more for the lanes `where` it is executed."""
-    return None if history is None else history.with_step(moment, where)
+def remember(history: History | None, moment: Moment, mask: Bool[Array, " lanes"]) -> History | None:
+    """The steps that are kept, with one more for the lanes `mask` it is executed."""
+    return None if history is None else history.with_step(moment, mask)
 
 
 def all_finite(*values: Float[Array, "_ lanes"]) -> Bool[Array, " lanes"]:
@@ -61,9 +61,7 @@ def all_finite(*values: Float[Array, "_ lanes"]) -> Bool[Array, " lanes"]:
     return functools.reduce(operator.add, (0.0 * row for row in rows)) == 0.0
 
 
-def count_clipped(
-    tally: Tally, proposed: Float[Array, "action lanes"], where: Bool[Array, " lanes"]
-) -> Tally:
-    """One more step for the lanes `where` whose action is beyond [-1, 1]."""
-    beyond = (jnp.abs(proposed) > 1.0).any(0) & where
+def count_clipped(tally: Tally, proposed: Float[Array, "action lanes"], mask: Bool[Array, " lanes"]) -> Tally:
+    """One more step for the lanes `mask` whose action is beyond [-1, 1]."""
+    beyond = (jnp.abs(proposed) > 1.0).any(0) & mask
     return dataclasses.replace(tally, clipped=tally.clipped + beyond)

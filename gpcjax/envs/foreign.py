@@ -102,16 +102,16 @@ class _Maker:
 
 
 def _made(name: str, found: Callable[..., Any], **parameters: Any) -> Env | HostEnv:
-    where = f"env {name}"
+    source = f"env {name}"
     try:
         thing = found(**parameters)
     except UserError:
         raise
     except Exception as error:
-        raise ForeignError(f"{where}: it cannot be made", error) from None
+        raise ForeignError(f"{source}: it cannot be made", error) from None
     env = _adapted(name, thing)
     if isinstance(env, Env):
-        _check(where, env)
+        _check(source, env)
     return env
 
 
@@ -166,7 +166,7 @@ class Alike(Env):
         return self.task.step(state, action)
 
 
-def _check(where: str, env: Env) -> None:
+def _check(source: str, env: Env) -> None:
     """Traces a reset and a step, so that a mistake shows before anything is compiled."""
     try:
         sizes = env.obs_size, env.action_size, env.max_steps
@@ -175,9 +175,9 @@ def _check(where: str, env: Env) -> None:
         action = jax.ShapeDtypeStruct((env.action_size,), float)
         jax.eval_shape(lambda action: stepped(env, started(env, jax.random.key(0)), action), action)
     except UserError as error:
-        raise UserError(f"{where}: {error}") from None
+        raise UserError(f"{source}: {error}") from None
     except Exception as error:
-        raise ForeignError(f"{where}: its reset or its step fails", error) from None
+        raise ForeignError(f"{source}: its reset or its step fails", error) from None
 
 
 def expert(env_name: str, name: str) -> Callable[[Any], Any]:
@@ -187,7 +187,7 @@ def expert(env_name: str, name: str) -> Callable[[Any], Any]:
         UserError: it is none, or one for observations or actions of another size.
         ForeignError: its module or the function itself fails.
     """
-    where = f"oracle {name}"
+    source = f"oracle {name}"
     if is_folder(name):
         load = registry.resolve("gpcjax.policies.saved:load_policy")
         found = load(Path(name).expanduser())
@@ -195,17 +195,17 @@ def expert(env_name: str, name: str) -> Callable[[Any], Any]:
         has = found.controller.obs_size, found.controller.action_size
         if has != tuple(made):
             raise UserError(
-                f"{where}: this policy takes {has[0]} observations and gives {has[1]} actions, {env_name} has "
+                f"{source}: this policy takes {has[0]} observations and gives {has[1]} actions, {env_name} has "
                 f"{made[0]} and {made[1]}"
             )
         return found
-    found = registry.imported(name, where)
+    found = registry.imported(name, source)
     if not callable(found):
-        raise UserError(f"{where}: {shown(found)} is none, give {_EXPERT}")
-    return _function(where, env_name, found)
+        raise UserError(f"{source}: {shown(found)} is none, give {_EXPERT}")
+    return _function(source, env_name, found)
 
 
-def _function(where: str, env_name: str, found: Any) -> Callable[[Any], Any]:
+def _function(source: str, env_name: str, found: Any) -> Callable[[Any], Any]:
     """A function of an observation, made first where it is a class or a function without arguments."""
     obs_size, action_size = registry.find("task", env_name).sizes or _sizes(env_name)
     try:
@@ -216,15 +216,15 @@ def _function(where: str, env_name: str, found: Any) -> Callable[[Any], Any]:
         ]
         function = found if takes and not inspect.isclass(found) else found()
         if not callable(function):
-            raise UserError(f"{where}: {shown(function)} is none, give {_EXPERT}")
+            raise UserError(f"{source}: {shown(function)} is none, give {_EXPERT}")
         shape = jax.eval_shape(function, jax.ShapeDtypeStruct((obs_size,), float))
     except UserError:
         raise
     except Exception as error:
-        raise ForeignError(f"{where}: it fails at an observation of {obs_size} numbers", error) from None
+        raise ForeignError(f"{source}: it fails at an observation of {obs_size} numbers", error) from None
     size = getattr(shape, "shape", None)
     if size != (action_size,):
-        raise UserError(f"{where}: its action has shape {size}, {env_name} takes ({action_size},)")
+        raise UserError(f"{source}: its action has shape {size}, {env_name} takes ({action_size},)")
     return lambda obs: jnp.clip(jnp.asarray(function(obs), float), -1.0, 1.0)
 
 

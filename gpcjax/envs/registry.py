@@ -81,24 +81,24 @@ def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     return make(**{name: _parameter(env_name, name, value) for name, value in parameters.items()})
 
 
-def check_expert(env_name: str, expert_name: Any, where: str) -> None:
+def check_expert(env_name: str, expert_name: Any, source: str) -> None:
     """Refuses what cannot be an expert of a task, as far as that is known before it is made.
 
     Raises:
-        UserError: no name of an expert of the task, no folder, no `module:function`. `where` begins the message.
+        UserError: no name of an expert of the task, no folder, no `module:function`. `source` begins the message.
     """
     experts = task(env_name).experts
     if isinstance(expert_name, str) and expert_name not in experts and is_folder(expert_name):
         if not os.path.exists(os.path.join(os.path.expanduser(expert_name), "card.json")):
             raise UserError(
-                f"{where} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
+                f"{source} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
             )
         return
     if isinstance(expert_name, str) and (expert_name in experts or ":" in expert_name):
         return
     others = [*experts, "the folder of a saved policy", "module:function"]
     raise UserError(
-        f"{where} {shown(expert_name)}: give {', '.join(others[:-1])} or {others[-1]} for {env_name}"
+        f"{source} {shown(expert_name)}: give {', '.join(others[:-1])} or {others[-1]} for {env_name}"
         f"{suggestion(expert_name, experts)}"
     )
 
@@ -136,7 +136,7 @@ def _is_elsewhere(name: str) -> bool:
 
 def _parameter(env_name: str, name: str, value: Any) -> Any:
     """A parameter of a task, if it is a number; what is beyond the task's own bounds it refuses itself."""
-    where = f"{env_name}: {name}"
+    source = f"{env_name}: {name}"
     if name == "max_steps":
-        return checked(where, value, int, STEPS)
-    return value if holds_numbers(value) else checked(where, value, float, FINITE)
+        return checked(source, value, int, STEPS)
+    return value if holds_numbers(value) else checked(source, value, float, FINITE)

@@ -38,10 +38,10 @@ class Appended(Change):
             count=jnp.where(write, self.count, self.before),
         )
 
-    def write(self, posteriors: Posterior, where: Places) -> Posterior:
-        """The posteriors with this point appended to the one at `where`."""
-        matrix = factor.append(posteriors.matrix, where, self.index, self.row)
-        after = with_point(posteriors, where, self.index, self.point, self.target, self.count)
+    def write(self, posteriors: Posterior, place: Places) -> Posterior:
+        """The posteriors with this point appended to the one at `place`."""
+        matrix = factor.append(posteriors.matrix, place, self.index, self.row)
+        after = with_point(posteriors, place, self.index, self.point, self.target, self.count)
         return dataclasses.replace(after, matrix=matrix)
 
     def points(self) -> Float[Array, "1 d"]:
@@ -76,26 +76,26 @@ class Appending(GaussianProcess):
         return empty(capacity, scale, factor.empty(capacity, lower=True))
 
     def explained(
-        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+        self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:
         """|S k|^2."""
-        return factor.explained(posteriors.matrix, where, posteriors.count[where], covariances, lower=True)
+        return factor.explained(posteriors.matrix, place, posteriors.count[place], covariances, lower=True)
 
     def read(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
     ) -> Projected:
         """Deviation and weights in one pass; no `point` goes, so there is nothing to be told of one."""
-        told = factor.read(posteriors.matrix, where, posteriors.count[where], covariances, lower=True)
+        told = factor.read(posteriors.matrix, place, posteriors.count[place], covariances, lower=True)
         return Projected(self.deviation(told.explained), told.solved)
 
     def put(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         reading: Projected,
         point: Float[Array, " d"],
         target: Float[Array, ""],
@@ -103,7 +103,7 @@ class Appending(GaussianProcess):
         write: Bool[Array, ""],
     ) -> Appended:
         """What one more point changes; `index` is the count of points, wherever `write` is true."""
-        before = posteriors.count[where]
+        before = posteriors.count[place]
         # By the deviation that was read: XLA compiles one that is computed once more to other bits.
         row = factor.row_of(reading.solved, before, reading.deviation)
         return Appended(index, before, before + 1, point, target, row).only(write)

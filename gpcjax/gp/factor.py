@@ -13,7 +13,7 @@ over S that reads and one, of rank one, that writes; and as Q is orthogonal, tho
 With k the covariances of an input with the points, |S k|^2 is the variance that they explain, and S^T S k are the
 weights with which they do. Both, and a column of the precision matrix S^T S, come from one pass over the root.
 
-A root is kept in tiles (`gpcjax.gp.tiles`). `roots` holds one or many, `where` is the place of the one that is meant,
+A root is kept in tiles (`gpcjax.gp.tiles`). `roots` holds one or many, `place` is the place of the one that is meant,
 and only tiles that its `count` points reach are touched.
 """
 
@@ -79,13 +79,13 @@ class Edit(eqx.Module):
 
 
 def explained(
-    roots: Roots, where: Places, count: Int[Array, ""], covariances: Vector, lower: bool = False
+    roots: Roots, place: Places, count: Int[Array, ""], covariances: Vector, lower: bool = False
 ) -> Float[Array, ""]:
     """|S k|^2; arguments as of `read`."""
     k = tiles.pad(covariances)
 
     def panel(index: Int[Array, ""], total: Float[Array, ""]) -> Float[Array, ""]:
-        whitened = _whiten(tiles.Panel(roots, where, count, index, k.shape[0], lower), k)
+        whitened = _whiten(tiles.Panel(roots, place, count, index, k.shape[0], lower), k)
         return total + (whitened * whitened).sum()
 
     return lax.fori_loop(0, tiles.whole(count, ROWS), panel, jnp.zeros(()))
@@ -93,13 +93,13 @@ def explained(
 
 def read(
     roots: Roots,
-    where: Places,
+    place: Places,
     count: Int[Array, ""],
     covariances: Vector,
     point: Int[Array, ""] | None = None,
     lower: bool = False,
 ) -> Reading:
-    """What the root at `where` tells of an input, and the column of the precision matrix that belongs to a `point`.
+    """What the root at `place` tells of an input, and the column of the precision matrix that belongs to a `point`.
 
     Args:
         roots, where, count: S.
@@ -113,7 +113,7 @@ def read(
         index: Int[Array, ""], sums: tuple[Array, tuple[Vector, ...]]
     ) -> tuple[Array, tuple[Vector, ...]]:
         total, products = sums
-        rows = tiles.Panel(roots, where, count, index, k.shape[0], lower)
+        rows = tiles.Panel(roots, place, count, index, k.shape[0], lower)
         whitened = _whiten(rows, k)
         factors = [whitened] if point is None else [whitened, rows.column(point)]
 
@@ -157,7 +157,7 @@ def row_of(solved: Vector, index: Int[Array, ""], deviation: Float[Array, ""]) -
 
 def edit(
     roots: Roots,
-    where: Places,
+    place: Places,
     count: Int[Array, ""],
     index: Int[Array, ""],
     reading: Reading,
@@ -174,7 +174,7 @@ def edit(
     """
     n = reading.solved.shape[0]
     here, replaces = jnp.arange(n) == index, index < count
-    column = tiles.cut(roots, where, (0, index), (n, 1))[:, 0]
+    column = tiles.cut(roots, place, (0, index), (n, 1))[:, 0]
     norm = jnp.sqrt((column * column).sum())
     pivot = jnp.where(here, column, 0.0).sum()
     # The sign that adds to the pivot: the reflector is then never a difference of equals.
@@ -182,7 +182,7 @@ def edit(
     reflector = jnp.where(replaces, column + jnp.where(here, shift, 0.0), 0.0)
     # |reflector|^2 / 2 = norm^2 + |pivot| norm
     scaled = reflector / jnp.where(replaces, norm * (norm + jnp.abs(pivot)), 1.0)
-    image = reading.column + shift * tiles.cut(roots, where, (index, 0), (1, n))[0]
+    image = reading.column + shift * tiles.cut(roots, place, (index, 0), (1, n))[0]
     # Without the old point, whose row of Q S is column^T / norm: what it explained, and its part in the weights.
     part = jnp.where(replaces, jnp.where(here, reading.solved, 0.0).sum() / norm, 0.0)
     share = part / jnp.where(replaces, norm, 1.0)
@@ -191,8 +191,8 @@ def edit(
     return Edit(index, replaces, scaled, image, row)
 
 
-def write(roots: Roots, where: Places, count: Int[Array, ""], edit: Edit, given: Bool[Array, ""]) -> Roots:
-    """The roots with an edit of the one at `where`; as they were if it is not `given`. Not for a `lower` root."""
+def write(roots: Roots, place: Places, count: Int[Array, ""], edit: Edit, given: Bool[Array, ""]) -> Roots:
+    """The roots with an edit of the one at `place`; as they were if it is not `given`. Not for a `lower` root."""
     scaled, image = tiles.pad(edit.scaled), tiles.pad(edit.image)
     size = scaled.shape[0]
 
@@ -200,30 +200,30 @@ def write(roots: Roots, where: Places, count: Int[Array, ""], edit: Edit, given:
         part = lax.dynamic_slice(scaled, (index * ROWS,), (ROWS,))
 
         def change(j: Int[Array, ""], roots: Roots) -> Roots:
-            rows = tiles.Panel(roots, where, count, index, size, lower=False)
+            rows = tiles.Panel(roots, place, count, index, size, lower=False)
             start = j * rows.width
             columns = lax.dynamic_slice(image, (start,), (rows.width,))
             goes = start + jnp.arange(rows.width) == edit.index
             tile = jnp.where(goes[None], 0.0, rows.tile(j) - part[:, None] * columns[None])
-            return tiles.put(roots, where, (index * ROWS, start), tile)
+            return tiles.put(roots, place, (index * ROWS, start), tile)
 
         return lax.fori_loop(0, tiles.whole(count, tiles.width(size)), change, roots)
 
     panels = jnp.where(given & edit.replaces, tiles.whole(count, ROWS), 0)
     roots = lax.fori_loop(0, panels, panel, roots)
     index = jnp.where(given, edit.index, size)
-    return roots.at[(*where, index)].set(tiles.pad(edit.row), mode="drop")
+    return roots.at[(*place, index)].set(tiles.pad(edit.row), mode="drop")
 
 
-def append(roots: Roots, where: Places, index: Int[Array, ""], row: Vector) -> Roots:
-    """The `lower` roots with a row for point `index` of the one at `where`; as they were if there is no such row."""
+def append(roots: Roots, place: Places, index: Int[Array, ""], row: Vector) -> Roots:
+    """The `lower` roots with a row for point `index` of the one at `place`; as they were if there is no such row."""
     n, row = row.shape[0], tiles.pad(row)
     width = tiles.width(n)
-    panel = tiles.Panel(roots, where, index + 1, index // ROWS, n, lower=True)
+    panel = tiles.Panel(roots, place, index + 1, index // ROWS, n, lower=True)
 
     def put(j: Int[Array, ""], roots: Roots) -> Roots:
         part = lax.dynamic_slice(row, (j * width,), (width,))
-        return tiles.put(roots, where, (panel.first + j, index % ROWS, 0), part)
+        return tiles.put(roots, place, (panel.first + j, index % ROWS, 0), part)
 
     return lax.fori_loop(0, jnp.where(index < n, panel.tiles, 0), put, roots)
 

@@ -52,32 +52,32 @@ def empty(capacity: int, scale: Float[Array, " d"], matrix: Float[Array, "..."])
     )
 
 
-def take(posteriors: Posterior, where: Places) -> Posterior:
-    """The one at `where`."""
-    return jax.tree.map(lambda leaf: tiles.take(leaf, where), posteriors)
+def take(posteriors: Posterior, place: Places) -> Posterior:
+    """The one at `place`."""
+    return jax.tree.map(lambda leaf: tiles.take(leaf, place), posteriors)
 
 
-def small(posteriors: Posterior, where: Places) -> Posterior:
-    """The one at `where`, with an empty matrix: the others of its fields are small."""
-    nothing = jnp.zeros((*posteriors.matrix.shape[: len(where)], 0))
-    return take(eqx.tree_at(lambda old: old.matrix, posteriors, nothing), where)
+def small(posteriors: Posterior, place: Places) -> Posterior:
+    """The one at `place`, with an empty matrix: the others of its fields are small."""
+    nothing = jnp.zeros((*posteriors.matrix.shape[: len(place)], 0))
+    return take(eqx.tree_at(lambda old: old.matrix, posteriors, nothing), place)
 
 
 def with_point(
     posteriors: Posterior,
-    where: Places,
+    place: Places,
     index: Int[Array, ""],
     point: Float[Array, " d"],
     target: Float[Array, ""],
     count: Int[Array, ""],
 ) -> Posterior:
-    """The posteriors with a point in row `index` of the one at `where`, or in none if there is no such row.
+    """The posteriors with a point in row `index` of the one at `place`, or in none if there is no such row.
 
     Its count is `count`; matrix and weights are as they were.
     """
     return dataclasses.replace(
         posteriors,
-        points=posteriors.points.at[(*where, index)].set(point, mode="drop"),
-        targets=posteriors.targets.at[(*where, index)].set(target, mode="drop"),
-        count=posteriors.count.at[where].set(count),
+        points=posteriors.points.at[(*place, index)].set(point, mode="drop"),
+        targets=posteriors.targets.at[(*place, index)].set(target, mode="drop"),
+        count=posteriors.count.at[place].set(count),
     )

@@ -7,7 +7,7 @@
 | `gpcjax.gp.renormalised` | of the dictionary | O(n^3); all is computed anew | both of GPC-NS |
 
 A `GaussianProcess` holds the hyperparameters, a `Posterior` the data and what is derived from them. Posteriors are
-read and written where they are: `posteriors` holds one or many, `where` is the place of the one that is meant (the
+read and written where they are: `posteriors` holds one or many, `place` is the place of the one that is meant (the
 indices of the first axes), and no large matrix is copied.
 """
 
@@ -32,8 +32,8 @@ class Change(eqx.Module):
         """The same where `write` is true, and nothing to be written where it is not."""
 
     @abc.abstractmethod
-    def write(self, posteriors: Posterior, where: Places) -> Posterior:
-        """The posteriors with this change of the one at `where`."""
+    def write(self, posteriors: Posterior, place: Places) -> Posterior:
+        """The posteriors with this change of the one at `place`."""
 
     @abc.abstractmethod
     def points(self) -> Float[Array, "m d"]:
@@ -77,19 +77,19 @@ class GaussianProcess(eqx.Module):
 
     @abc.abstractmethod
     def explained(
-        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+        self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:
-        """How much of the variance of an input with these covariances the points at `where` explain."""
+        """How much of the variance of an input with these covariances the points at `place` explain."""
 
     @abc.abstractmethod
     def read(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
     ) -> Reading:
-        """What the posterior at `where` tells of an input with these covariances: what `put` needs to learn it.
+        """What the posterior at `place` tells of an input with these covariances: what `put` needs to learn it.
 
         `point` is the row that the input may replace, if any.
         """
@@ -98,7 +98,7 @@ class GaussianProcess(eqx.Module):
     def put(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         reading: Any,
         point: Float[Array, " d"],
         target: Float[Array, ""],

@@ -35,11 +35,11 @@ class Renewed(Change):
         """The same where `write` is true, and nothing to be written where it is not."""
         return dataclasses.replace(self, given=self.given & write)
 
-    def write(self, posteriors: Posterior, where: Places) -> Posterior:
-        """The posteriors with this one at `where`."""
-        before = take(posteriors, where)
+    def write(self, posteriors: Posterior, place: Places) -> Posterior:
+        """The posteriors with this one at `place`."""
+        before = take(posteriors, place)
         after = jax.tree.map(lambda new, old: jnp.where(self.given, new, old), self.posterior, before)
-        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), posteriors, after)
+        return jax.tree.map(lambda leaf, value: leaf.at[place].set(value), posteriors, after)
 
     def points(self) -> Float[Array, "n d"]:
         """All of the dictionary."""
@@ -71,28 +71,28 @@ class Renormalised(GaussianProcess):
         return empty(capacity, jnp.ones_like(scale), jnp.eye(capacity if self.keeps_weights else 0))
 
     def explained(
-        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+        self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:
         """|L^-1 k|^2."""
         if not self.keeps_weights:
-            return self._explained_anew(small(posteriors, where), covariances)
-        whitened = cholesky.solve(tiles.take(posteriors.matrix, where), covariances)
+            return self._explained_anew(small(posteriors, place), covariances)
+        whitened = cholesky.solve(tiles.take(posteriors.matrix, place), covariances)
         return (whitened * whitened).sum()
 
     def read(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
     ) -> Reading:
         """Only the deviation: all else is made anew by `put`."""
-        return Reading(self.deviation(self.explained(posteriors, where, covariances)))
+        return Reading(self.deviation(self.explained(posteriors, place, covariances)))
 
     def put(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         reading: Reading,
         point: Float[Array, " d"],
         target: Float[Array, ""],
@@ -100,7 +100,7 @@ class Renormalised(GaussianProcess):
         write: Bool[Array, ""],
     ) -> Renewed:
         """The posterior with a point in row `index`, in use or the first that is free."""
-        before = take(posteriors, where)
+        before = take(posteriors, place)
         here = (jnp.arange(before.capacity) == index) & write
         count = before.count + (write & (index >= before.count)).astype(before.count.dtype)
         targets = jnp.where(here, target, before.targets)

@@ -34,14 +34,14 @@ class Placed(Change):
         """The same where `write` is true, and nothing to be written where it is not."""
         return dataclasses.replace(self, given=self.given & write)
 
-    def write(self, posteriors: Posterior, where: Places) -> Posterior:
-        """The posteriors with this point in the one at `where`."""
+    def write(self, posteriors: Posterior, place: Places) -> Posterior:
+        """The posteriors with this point in the one at `place`."""
         index = jnp.where(self.given, self.edit.index, self.edit.row.shape[0])
         count = jnp.where(self.given, self.count, self.before)
-        matrix = factor.write(posteriors.matrix, where, self.before, self.edit, self.given)
-        before = tiles.take(posteriors.weights, where)
-        weights = posteriors.weights.at[where].set(jnp.where(self.given, self.weights, before))
-        after = with_point(posteriors, where, index, self.point, self.target, count)
+        matrix = factor.write(posteriors.matrix, place, self.before, self.edit, self.given)
+        before = tiles.take(posteriors.weights, place)
+        weights = posteriors.weights.at[place].set(jnp.where(self.given, self.weights, before))
+        after = with_point(posteriors, place, index, self.point, self.target, count)
         return dataclasses.replace(after, matrix=matrix, weights=weights)
 
     def points(self) -> Float[Array, "1 d"]:
@@ -80,26 +80,26 @@ class Replacing(GaussianProcess):
         return empty(capacity, scale, factor.empty(capacity))
 
     def explained(
-        self, posteriors: Posterior, where: Places, covariances: Float[Array, " n"]
+        self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:
         """|S k|^2."""
-        return factor.explained(posteriors.matrix, where, posteriors.count[where], covariances)
+        return factor.explained(posteriors.matrix, place, posteriors.count[place], covariances)
 
     def read(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         covariances: Float[Array, " n"],
         point: Int[Array, ""] | None = None,
     ) -> Weighed:
         """|S k|^2, S^T S k and the column of S^T S that belongs to a `point` which may go, in one pass."""
-        root = factor.read(posteriors.matrix, where, posteriors.count[where], covariances, point)
+        root = factor.read(posteriors.matrix, place, posteriors.count[place], covariances, point)
         return Weighed(self.deviation(root.explained), root)
 
     def put(
         self,
         posteriors: Posterior,
-        where: Places,
+        place: Places,
         reading: Weighed,
         point: Float[Array, " d"],
         target: Float[Array, ""],
@@ -107,10 +107,10 @@ class Replacing(GaussianProcess):
         write: Bool[Array, ""],
     ) -> Placed:
         """What a point changes in row `index`: the first that is free, or that of a point which `read` was told of."""
-        before, root = small(posteriors, where), reading.root
+        before, root = small(posteriors, place), reading.root
         here = jnp.arange(before.capacity) == index
         count = before.count + (write & (index >= before.count)).astype(before.count.dtype)
-        edit = factor.edit(posteriors.matrix, where, before.count, index, root, self.prior, self.noise)
+        edit = factor.edit(posteriors.matrix, place, before.count, index, root, self.prior, self.noise)
         weights = before.weights
         if self.keeps_weights:
             targets = jnp.where(here & write, target, before.targets)

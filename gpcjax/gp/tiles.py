@@ -1,7 +1,7 @@
 """How roots (`gpcjax.gp.factor`) are kept: in tiles of `ROWS` times up to `COLUMNS` numbers.
 
 A root is a square that is padded to whole tiles, or `lower`, of points that are only appended: the tiles up to the
-diagonal, panel by panel. Arrays are read and written where they are: the first axes of one are places, and `where`, an
+diagonal, panel by panel. Arrays are read and written where they are: the first axes of one are places, and `place`, an
 index for each of them, is the place that is meant.
 """
 
@@ -20,18 +20,18 @@ ROWS, COLUMNS = 8, 128
 
 
 class Panel:
-    """A row of tiles of the root at `where`: rows `index * ROWS` and following."""
+    """A row of tiles of the root at `place`: rows `index * ROWS` and following."""
 
     def __init__(
         self,
         roots: Roots,
-        where: Places,
+        place: Places,
         count: Int[Array, ""],
         index: Int[Array, ""],
         size: int,
         lower: bool,
     ):
-        self._roots, self._where, self._index, self._lower = roots, where, index, lower
+        self._roots, self._where, self._index, self._lower = roots, place, index, lower
         self.width = width(size)
         self.first = first_tile(index, self.width)
         self.tiles = index * ROWS // self.width + 1 if lower else whole(count, self.width)
@@ -78,22 +78,22 @@ def pad(vector: Vector) -> Float[Array, " padded"]:
 
 
 def cut(
-    array: Array, where: Places, starts: tuple[Int[Array, ""] | int, ...], shape: tuple[int, ...]
+    array: Array, place: Places, starts: tuple[Int[Array, ""] | int, ...], shape: tuple[int, ...]
 ) -> Array:
-    """The block of this shape that begins at `starts`, of the array at `where`."""
-    return lax.dynamic_slice(array, _starts((*where, *starts)), (1,) * len(where) + shape).reshape(shape)
+    """The block of this shape that begins at `starts`, of the array at `place`."""
+    return lax.dynamic_slice(array, _starts((*place, *starts)), (1,) * len(place) + shape).reshape(shape)
 
 
-def put(roots: Roots, where: Places, starts: tuple[Int[Array, ""] | int, ...], part: Array) -> Roots:
-    """The roots with a block that begins at `starts`, of the one at `where`; its first axes of one may be left out."""
+def put(roots: Roots, place: Places, starts: tuple[Int[Array, ""] | int, ...], part: Array) -> Roots:
+    """The roots with a block that begins at `starts`, of the one at `place`; its first axes of one may be left out."""
     part = part.reshape((1,) * (roots.ndim - part.ndim) + part.shape)
-    return lax.dynamic_update_slice(roots, part, _starts((*where, *starts)))
+    return lax.dynamic_update_slice(roots, part, _starts((*place, *starts)))
 
 
-def take(array: Array, where: Places) -> Array:
+def take(array: Array, place: Places) -> Array:
     """`array[*where]` in one slice."""
-    shape = array.shape[len(where) :]
-    return cut(array, where, (0,) * len(shape), shape)
+    shape = array.shape[len(place) :]
+    return cut(array, place, (0,) * len(shape), shape)
 
 
 def _starts(indices: tuple[Int[Array, ""] | int, ...]) -> list[Int[Array, ""]]:

@@ -250,20 +250,20 @@ class Learner(ByIdentity):
     def _correct(
         self,
         states: State,
-        where: tuple[Int[Array, ""], ...],
+        place: tuple[Int[Array, ""], ...],
         obs: Float[Array, " obs"],
         action: Float[Array, ""],
         advice: Float[Array, ""],
     ) -> tuple[Change, Info]:
         """What a correction of one action dimension changes, for `_write`.
 
-        `where` is its place in `states`: the index of the dimension, after that of the lane if there are several. The
+        `place` is its place in `states`: the index of the dimension, after that of the lane if there are several. The
         dimensions learn for themselves: what is untouched by advice costs nothing.
         """
         raise NotImplementedError
 
-    def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
-        """The states with a change; `where` is its place, the indices of their first axes."""
+    def _write(self, states: State, place: tuple[Int[Array, ""], ...], change: Change) -> State:
+        """The states with a change; `place` is its place, the indices of their first axes."""
         raise NotImplementedError
 
     def _vector(self, name: str, value: Vector, size: int) -> Any:

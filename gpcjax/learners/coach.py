@@ -53,11 +53,11 @@ class COACH(Learner):
         shape = (self.action_size, *self.grid.counts)
         return COACHState(policy=jnp.zeros(shape), human=jnp.zeros(shape))
 
-    def _write(self, states, where, change):
-        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
+    def _write(self, states, place, change):
+        return jax.tree.map(lambda leaf, value: leaf.at[place].set(value), states, change)
 
-    def _correct(self, states, where, obs, action, advice):
-        state, dimension = jax.tree.map(lambda leaf: leaf[where], states), where[-1]
+    def _correct(self, states, place, obs, action, advice):
+        state, dimension = jax.tree.map(lambda leaf: leaf[place], states), place[-1]
         beta, magnitude, constant = (
             jnp.take(values, dimension) for values in (self.beta, self.magnitude, self.constant)
         )

@@ -37,13 +37,13 @@ class _Maker:
         self._name, self._found = name, found
 
     def __call__(self, **values: Any) -> Learner:
-        where = f"algo {self._name}"
+        source = f"algo {self._name}"
         try:
             made = self._found(**values)
         except UserError:
             raise
         except Exception as error:
-            raise ForeignError(f"{where}: it cannot be made", error) from None
+            raise ForeignError(f"{source}: it cannot be made", error) from None
         if not isinstance(made, Learner):
-            raise UserError(f"{where}: {shown(made)} is no learner, give a subclass of gpcjax.Learner")
+            raise UserError(f"{source}: {shown(made)} is no learner, give a subclass of gpcjax.Learner")
         return made

@@ -63,12 +63,12 @@ class _Consulted(eqx.Module):
 
 
 def _consult(
-    process: GaussianProcess, posteriors: Posterior, where: Places, point: Float[Array, " d"]
+    process: GaussianProcess, posteriors: Posterior, place: Places, point: Float[Array, " d"]
 ) -> _Consulted:
-    posterior = small(posteriors, where)
+    posterior = small(posteriors, place)
     covariances = process.covariances(posterior, point)
     nearest = covariances.argmax()
-    reading = process.read(posteriors, where, covariances, nearest)
+    reading = process.read(posteriors, place, covariances, nearest)
     return _Consulted(posterior, nearest, reading)
 
 
@@ -157,17 +157,17 @@ class GPC(Learner):
         # One by one: a batch would be taken apart again where the model normalises (`cholesky.one_at_a_time`).
         return lax.map(one, (state.human, action))
 
-    def _write(self, states, where, change):
+    def _write(self, states, place, change):
         return GPCState(
-            policy=change.policy.write(states.policy, where),
-            human=change.human.write(states.human, where),
+            policy=change.policy.write(states.policy, place),
+            human=change.human.write(states.human, place),
         )
 
-    def _correct(self, states, where, obs, action, advice):
+    def _correct(self, states, place, obs, action, advice):
         """Alg. 2, lines 7 to 14."""
         pair = _pair(obs, action)
-        policy = _consult(self.policy, states.policy, where, obs)
-        human = _consult(self.human, states.human, where, pair)
+        policy = _consult(self.policy, states.policy, place, obs)
+        human = _consult(self.human, states.human, place, pair)
         adaptive = policy.sigma + human.sigma + self.constant_rate  # (3.5)
         rate = adaptive if self.static_rate is None else self.static_rate
         target = action + rate * advice
@@ -190,8 +190,8 @@ class GPC(Learner):
         finite = jnp.stack([jnp.isfinite(number).all() for number in numbers]).all()
         learns = given & finite & ~refused
         change = GPCChange(
-            policy=self.policy.put(states.policy, where, policy.reading, obs, target, index, learns),
-            human=self.human.put(states.human, where, human.reading, pair, advice, human_index, learns),
+            policy=self.policy.put(states.policy, place, policy.reading, obs, target, index, learns),
+            human=self.human.put(states.human, place, human.reading, pair, advice, human_index, learns),
         )
         finite &= self._sound(change, policy.posterior, human.posterior) | ~learns
         learns &= finite

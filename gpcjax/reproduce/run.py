@@ -110,7 +110,7 @@ def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:
     source = given.pop("rate_from", None)
     if source is not None:
         rates = offered_rates(out / Path(source.value).name)
-        given["rate_schedule"] = Given(rates, source.where)
+        given["rate_schedule"] = Given(rates, source.source)
     return make_spec(given)
 
 

@@ -188,62 +188,62 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
 
 
-def parse(option: Option, text: str, where: str) -> Any:
+def parse(option: Option, text: str, source: str) -> Any:
     """The checked value of a flag's `text`, a comma list where the option takes many."""
     words = [word.strip() for word in text.split(",")] if option.many or option.series else [text]
     if "" in words:
-        raise UserError(f"{where} {shown(text)}: an empty value, give {option.allowed}")
-    return _checked(option, [_from_word(option, word, where) for word in words], where)
+        raise UserError(f"{source} {shown(text)}: an empty value, give {option.allowed}")
+    return _checked(option, [_from_word(option, word, source) for word in words], source)
 
 
-def accept(option: Option, value: Any, where: str) -> Any:
+def accept(option: Option, value: Any, source: str) -> Any:
     """The checked form of a `value` from TOML or Python."""
     if isinstance(value, os.PathLike):
         value = os.fspath(value)
     value = plain(value)
     if option.kind is str and isinstance(value, str):
-        return parse(option, value, where)
-    values = entries(where, value, LARGEST + 1) if option.many or option.series else None
+        return parse(option, value, source)
+    values = entries(source, value, LARGEST + 1) if option.many or option.series else None
     if values is None:
-        return _checked(option, [value], where)
+        return _checked(option, [value], source)
     if not values:
-        raise UserError(f"{where} []: the list is empty, give {option.allowed}")
+        raise UserError(f"{source} []: the list is empty, give {option.allowed}")
     if len(values) > LARGEST:
-        raise UserError(f"{where}: more than {LARGEST:,} values, give fewer")
-    return _checked(option, values, where)
+        raise UserError(f"{source}: more than {LARGEST:,} values, give fewer")
+    return _checked(option, values, source)
 
 
-def _from_word(option: Option, word: str, where: str) -> Any:
+def _from_word(option: Option, word: str, source: str) -> Any:
     """A word as `option.kind` has it; not a number is refused here, a number that is not allowed later."""
     if option.kind is str:
         return word
     try:
         number = option.kind(word) if option.kind is int else Written(word.strip())
     except ValueError:
-        _refuse(option, word, where)
+        _refuse(option, word, source)
     grammar = _INTEGER if option.kind is int else _DECIMAL
     if grammar.fullmatch(word.strip()) or (option.kind is float and not math.isfinite(number)):
         return number
-    _refuse(option, word, where)
+    _refuse(option, word, source)
 
 
-def _checked(option: Option, values: list[Any], where: str) -> Any:
+def _checked(option: Option, values: list[Any], source: str) -> Any:
     checked = []
     for value in values:
         one = None if isinstance(value, Written) and value.lost else converted(option.kind, value)
         if one is None or not option.allowed.admits(one):
-            _refuse(option, value, where)
+            _refuse(option, value, source)
         if option.names:
-            find(option.names, one, where)
+            find(option.names, one, source)
         checked.append(one)
     if option.series:
         return tuple(checked)
     return tuple(dict.fromkeys(checked)) if option.many else checked[0]
 
 
-def _refuse(option: Option, value: Any, where: str) -> NoReturn:
+def _refuse(option: Option, value: Any, source: str) -> NoReturn:
     if isinstance(value, Written) and value.lost:
-        raise UserError(f"{where} {shown(value)}: too small for a number in float64, give {option.allowed}")
+        raise UserError(f"{source} {shown(value)}: too small for a number in float64, give {option.allowed}")
     choices = option.allowed.choices if isinstance(option.allowed, OneOf) and option.kind is str else ()
     near = suggestion(value, choices) if choices else ""
-    raise UserError(f"{where} {shown(value)}: give {option.allowed}{near}")
+    raise UserError(f"{source} {shown(value)}: give {option.allowed}{near}")

@@ -69,14 +69,14 @@ class Given(NamedTuple):
     """A checked value and where it stood, for messages: "--error", or "a.toml: error"."""
 
     value: Any
-    where: str
+    source: str
 
 
 class Unchecked(NamedTuple):
     """A value of a setting that only a learner or a teacher of the sweep can know: `make_spec` asks them."""
 
     value: Any
-    where: str
+    source: str
     key: str
     """As it was written."""
     counts: bool = True
@@ -204,7 +204,7 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
             f"{task.name} has {task.sizes[1]}"
         )
     for oracle in value.get("oracle", ()):
-        check_expert(task.name, oracle, known["oracle"].where)
+        check_expert(task.name, oracle, known["oracle"].source)
     if "oracle" not in value and not task.experts:
         raise UserError(
             f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
@@ -217,14 +217,14 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
                 each for each in OPTIONS["algo"].default if concerns(name, find("learner", each), teacher)
             ]
             raise UserError(
-                f"{setting.where}: {alone}, give it with {' or '.join(others) or 'another teacher'}"
+                f"{setting.source}: {alone}, give it with {' or '.join(others) or 'another teacher'}"
             )
     if "static_rate" in known and "constant_rate" in known:
-        where = known["constant_rate"].where
-        raise UserError(f"{where}: beside static_rate it changes nothing, give one of the two")
+        source = known["constant_rate"].source
+        raise UserError(f"{source}: beside static_rate it changes nothing, give one of the two")
     if "rate_schedule" in known and "rate" in known:
         raise UserError(
-            f"{known['rate'].where}: beside rate_schedule it changes nothing, give one of the two"
+            f"{known['rate'].source}: beside rate_schedule it changes nothing, give one of the two"
         )
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
         "episodes": task.episodes,
@@ -235,7 +235,7 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
-    places = {name: setting.where for name, setting in known.items()}
+    places = {name: setting.source for name, setting in known.items()}
     for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
         check_lateness(names, fields["hyperparameters"], places, task.seconds)
     return SweepSpec(**fields)
@@ -246,16 +246,16 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
     if isinstance(setting, Given):
         if name in own and name in OPTIONS:  # its bounds may be others where somebody else has the same word
             for each in own[name]:
-                accept(option_of(each), setting.value, setting.where)
+                accept(option_of(each), setting.value, setting.source)
         return setting
     if name not in own:
         known = list(dict.fromkeys([*OPTIONS, *own]))
         key, near = shown(setting.key), suggestion(name, known)
-        prefix = setting.where.removesuffix(setting.key)
+        prefix = setting.source.removesuffix(setting.key)
         raise UserError(f"{prefix}{key} is no setting{near}: give {', '.join(known)}")
     read = parse if isinstance(setting.value, str) else accept
-    first, *others = (read(option_of(each), setting.value, setting.where) for each in own[name])
-    return Given(others[-1] if others else first, setting.where)
+    first, *others = (read(option_of(each), setting.value, setting.source) for each in own[name])
+    return Given(others[-1] if others else first, setting.source)
 
 
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
@@ -269,16 +269,16 @@ def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchec
     """The settings of a table, each checked alone; dashes and underscores in a key are one."""
     accepted: dict[str, Given | Unchecked] = {}
     for key, value in table.items():
-        name, where = key.replace("-", "_"), f"{prefix}{key}"
+        name, source = key.replace("-", "_"), f"{prefix}{key}"
         if name in accepted:
-            raise UserError(f"{where} is given twice, with a dash and with an underscore: give it once")
+            raise UserError(f"{source} is given twice, with a dash and with an underscore: give it once")
         if isinstance(value, Mapping) and name not in OPTIONS:
             near = suggestion(name, OPTIONS)
             raise UserError(f"{prefix}{shown(key)} is no setting{near}: give {', '.join(OPTIONS)}")
         if name in OPTIONS:
-            accepted[name] = Given(accept(OPTIONS[name], value, where), where)
+            accepted[name] = Given(accept(OPTIONS[name], value, source), source)
         else:
-            accepted[name] = Unchecked(value, where, key)
+            accepted[name] = Unchecked(value, source, key)
     return accepted
 
 

@@ -39,13 +39,13 @@ class _Maker:
         self.__signature__ = inspect.signature(found)
 
     def __call__(self, **values: Any) -> Teacher:
-        where = f"teacher {self._name}"
+        source = f"teacher {self._name}"
         try:
             made = self._found(**values)
         except UserError:
             raise
         except Exception as error:
-            raise ForeignError(f"{where}: it cannot be made", error) from None
+            raise ForeignError(f"{source}: it cannot be made", error) from None
         if not isinstance(made, Teacher):
-            raise UserError(f"{where}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
+            raise UserError(f"{source}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
         return made

@@ -56,16 +56,16 @@ class Replay(Teacher):
         return look(self.table, self.episode, step)
 
 
-def described_record(path: str, where: str) -> TeacherSpec:
+def described_record(path: str, source: str) -> TeacherSpec:
     """The teacher `replay:PATH` of a sweep.
 
     Raises:
-        UserError: there is no recording, or one without advice; `where` begins the message.
+        UserError: there is no recording, or one without advice; `source` begins the message.
     """
     try:
         table = read_advice(path)
     except UserError as error:
-        raise UserError(f"{where} replay:{error}") from None
+        raise UserError(f"{source} replay:{error}") from None
     return TeacherSpec(
         name=f"replay:{path}",
         make=functools.partial(Replay, jnp.asarray(table)),
