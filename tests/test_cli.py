@@ -40,7 +40,7 @@ def calls(monkeypatch, tmp_path):
 
     monkeypatch.setitem(sys.modules, "gpcjax.report.run", SimpleNamespace(draw=draw))
     monkeypatch.setitem(
-        sys.modules, "gpcjax.report.tables", SimpleNamespace(render=lambda summary: "the table")
+        sys.modules, "gpcjax.report.terminal", SimpleNamespace(render=lambda summary: "the table")
     )
     monkeypatch.setattr("gpcjax.sweep.executors.run_alone", lambda *words: record.built.append(words) or 0)
     return record

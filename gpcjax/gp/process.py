@@ -163,4 +163,4 @@ class GaussianProcess(eqx.Module):
     @property
     def prior(self) -> Float[Array, ""]:
         """Variance of an observation before any data."""
-        return self.kernel.variance + self.noise
+        return jnp.add(self.kernel.variance, self.noise)  # on the host too an array of jax

@@ -20,7 +20,10 @@ _SETTINGS: dict[str, Setting] = {
     for name in built_in(kind)
     for setting in find(kind, name).settings
 }
-_SYMBOLS = {name: setting.symbol for name, setting in _SETTINGS.items()} | {"delta": "delta", "rate": "gamma"}
+_SYMBOLS = {name: setting.symbol for name, setting in _SETTINGS.items() if setting.symbol} | {
+    "delta": "delta",
+    "rate": "gamma",
+}
 _MEANINGS = {name: setting.text for name, setting in _SETTINGS.items()} | {
     "delta": "distance from its target within which the teacher is silent",
     "rate": "chance of advice at a step",

@@ -16,6 +16,7 @@ import pytest
 
 from gpcjax.errors import UserError
 from gpcjax.report import html
+from gpcjax.report.content import document
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
@@ -348,7 +349,7 @@ class TestManifestMadeAnew:
         sweep(tmp_path, **SETTINGS)
         written = manifest(tmp_path)
         assert written["machine"] == {"processor": UNKNOWN} and written["further_machines"] == [here]
-        page = html.page(summarise(gather(read_episodes(tmp_path), written)), [])
+        page = html.render(document(summarise(gather(read_episodes(tmp_path), written)), []))
         assert UNKNOWN in page and "It went on with another machine" in page
 
     def test_not_for_another_sweep(self, tmp_path, half):

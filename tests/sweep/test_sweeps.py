@@ -246,11 +246,11 @@ def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
     settings = SETTINGS | {"algo": "coach", "error": 0.0, "delay": [0.0, 0.2], "credit": 0.1}
     out = sweep(tmp_path / "out", jobs=1, **settings)
     rows = read_episodes(out)
-    assert rows.groupby("delay").size().to_dict() == {0.0: 6, 0.2: 6} and (rows["credit"] == 0.1).all()
+    assert rows.groupby("delay").size().to_dict() == {0.0: 6, 0.2: 6}
     assert (rows["corrections"] > 0).any()
     steps = read_corrections(out).groupby("delay")["step"].min()
     assert steps[0.2] >= 10 > steps[0.0] >= 5  # steps of 0.02 s; none before is advised, nor learned from
-    monkeypatch.setattr(run_module, "Executors", None)
+    monkeypatch.setattr(run_module, "Processes", None)
     sweep(out, jobs=1, **settings)
 
 
