@@ -83,7 +83,8 @@ class TaskSpec:
     |----------------|-----------------------------------------------------------------------------------------|
     | `name`         | under which it is asked for, and its results are kept                                   |
     | `make`         | makes it: an `Env`, a `HostEnv`, or an environment of brax or gymnasium                  |
-    | `experts`      | expert name -> (what makes it, its arguments...); the default comes first               |
+    | `experts`      | expert name -> "module:function", a function, the folder of a saved policy, or a tuple    |
+    |                | (what makes it, its arguments...); the default comes first                              |
     | `label`, `unit` | as reports write it, and what its return counts                                        |
     | `actions`      | what the dimensions of an action move, where there are several                          |
     | `episodes`     | default length of a sweep                                                               |
@@ -97,7 +98,7 @@ class TaskSpec:
 
     name: str
     make: Make
-    experts: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, hash=False)
+    experts: Mapping[str, Any] = field(default_factory=dict, hash=False)
     label: str = ""
     unit: str = ""
     actions: tuple[str, ...] = ()

@@ -180,14 +180,16 @@ def _check(source: str, env: Env) -> None:
         raise ForeignError(f"{source}: its reset or its step fails", error) from None
 
 
-def expert(env_name: str, name: str) -> Callable[[Any], Any]:
-    """The expert of a task that is no built-in one: a folder of a saved policy, or `module:function`.
+def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any]:
+    """The expert of a task that is no built-in one: a folder of a saved policy, `module:function`, or the function.
 
     Raises:
         UserError: it is none, or one for observations or actions of another size.
         ForeignError: its module or the function itself fails.
     """
-    source = f"oracle {name}"
+    source = f"oracle {name if isinstance(name, str) else shown(name)}"
+    if not isinstance(name, str):
+        return _function(source, env_name, name)
     if is_folder(name):
         load = registry.resolve("gpcjax.policies.saved:load_policy")
         found = load(Path(name).expanduser())

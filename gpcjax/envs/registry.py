@@ -42,10 +42,10 @@ def expert_names(env_name: str) -> tuple[str, ...]:
 
 def shipped(env_name: str) -> dict[str, str]:
     """The experts of a task that are shipped policies: name -> folder. Raises ValueError for an unknown task."""
-    experts = task(env_name).experts.items()
+    made = {name: entry for name, entry in task(env_name).experts.items() if isinstance(entry, tuple)}
     return {
         name: path
-        for name, (target, *rest) in experts
+        for name, (target, *rest) in made.items()
         if isinstance(target, str) and target.endswith(":load_shipped")
         for path in rest
     }
@@ -115,12 +115,12 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
         ValueError: an unknown task, or what is no expert of it.
     """
     check_expert(env_name, expert_name, "oracle")
-    experts = task(env_name).experts
-    if expert_name not in experts:
+    entry = task(env_name).experts.get(expert_name, expert_name)
+    if not isinstance(entry, tuple):
         from gpcjax.envs import foreign
 
-        return foreign.expert(env_name, expert_name)
-    target, *arguments = experts[expert_name]
+        return foreign.expert(env_name, entry)
+    target, *arguments = entry
     made = registry.resolve(target)
     return made(*arguments)
 
@@ -128,10 +128,6 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
 def is_folder(name: str) -> bool:
     """Whether a name of an expert is that of a folder. A name that no file system takes is none."""
     return os.path.isdir(os.path.expanduser(name))
-
-
-def _is_elsewhere(name: str) -> bool:
-    return ":" in name or is_folder(name)
 
 
 def _parameter(env_name: str, name: str, value: Any) -> Any:

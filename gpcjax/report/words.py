@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gpcjax.describe import Setting
+from gpcjax.learners.descriptions import CREDIT
 from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study
 from gpcjax.report.statistics import Interval
@@ -19,7 +20,7 @@ _SETTINGS: dict[str, Setting] = {
     for kind in ("learner", "teacher")
     for name in built_in(kind)
     for setting in find(kind, name).settings
-}
+} | {setting.name: setting for setting in CREDIT}
 _SYMBOLS = {name: setting.symbol for name, setting in _SETTINGS.items() if setting.symbol} | {
     "delta": "delta",
     "rate": "gamma",
@@ -28,7 +29,7 @@ _MEANINGS = {name: setting.text for name, setting in _SETTINGS.items()} | {
     "delta": "distance from its target within which the teacher is silent",
     "rate": "chance of advice at a step",
 }
-_GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "nu")
+_GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "tau", "nu")
 
 
 def algorithm(name: str) -> str:
