@@ -1,15 +1,18 @@
 # The one task runner. `make help` prints the lines that begin with #: and the texts behind ##.
 #:
 #: Variables, given behind `make`; a comma list makes every combination (make sweep ENV=cartpole ERR=0,0.1):
-#:   ENV       the task: cartpole, pendulum or lunarlander
+#:   ENV       the task: cartpole, pendulum, lunarlander, mountaincar, module:NAME, gym:ID or brax:NAME
 #:   ERR       chance that an advice has the wrong sign (0)
-#:   ALGO      gpc, gpc-ns, coach (all three; for a grid gpc)
+#:   ALGO      gpc, gpc-ns, coach or module:NAME (the three built-in ones; for a grid gpc)
+#:   TEACHER   who teaches (oracle): Alg. 4 of the thesis, module:NAME or replay:FILE
 #:   SEEDS     n, for seeds 0 to n-1 (100)
-#:   EPISODES  of each run (30 for cartpole, 40 for pendulum, 200 for lunarlander)
-#:   ORACLE    whose actions the teacher aims at (gpc; heuristic for lunarlander)
+#:   EPISODES  of each run (30, 40 for pendulum, 200 for lunarlander)
+#:   ORACLE    whose actions the teacher aims at (gpc, heuristic for lunarlander, pump for mountaincar): an expert
+#:             of the task, the folder of a saved policy, or module:function
 #:   DELTA     the teacher is silent this near to its target (0.05)
 #:   RATE      chance of advice at a step (0.05)
 #:   LP, LH    length-scales of the policy and of the human model (those of the thesis)
+#:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
@@ -30,8 +33,8 @@ PIP := .venv/bin/python -m pip --quiet --quiet --disable-pip-version-check
 GPCJAX := .venv/bin/python -m gpcjax
 
 # Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
-FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes ORACLE:oracle DELTA:delta RATE:rate \
-	LP:policy-length-scale LH:human-length-scale OUT:out JOBS:jobs
+FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teacher ORACLE:oracle DELTA:delta \
+	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale OUT:out JOBS:jobs
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)

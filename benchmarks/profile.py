@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.cases import ERRORS, Case
-from gpcjax.engine import teaching
+from gpcjax.engine import asking, correcting
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.pool import Pool, Tier
 from gpcjax.engine.rollout import Loop
@@ -102,7 +102,7 @@ def parts(loop: Loop, block: Lane) -> dict[str, float]:
         )
 
     def ask(block: Lane) -> Lane:
-        asked, advice = teaching.ask(
+        asked, advice = asking.ask(
             replace(block, waiting=jnp.ones_like(block.waiting)), loop.expert, loop.grows
         )
         env = replace(block.env, time=block.env.time + 1 + (advice[0] > 2).astype(jnp.int32))
@@ -125,7 +125,7 @@ def correction(loop: Loop, block: Lane) -> float:
     def correct(carry: tuple[Any, Lane]) -> tuple[Any, Lane]:
         index, block = carry
         advice = jnp.where(jnp.arange(lanes) == index % lanes, 1.0, 0.0)[None]
-        corrected = teaching.correct(block, advice)
+        corrected = correcting.correct(block, advice)
         # A dictionary that is nearly full stays so: the work is the same, and its room is never exceeded.
         policy, human = corrected.state.policy, corrected.state.human
         limit = lambda posterior: dataclasses.replace(  # noqa: E731

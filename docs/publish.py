@@ -18,8 +18,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gpcjax.report import curves, style
-from gpcjax.report.tables import Sheet, difference_sheets, reading, result_sheets
+from gpcjax.report import curves, markdown, style
+from gpcjax.report.tables import difference_sheets, reading, result_sheets
 from gpcjax.reproduce import page
 from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.parts import PARTS, SWEEPS
@@ -161,13 +161,8 @@ def _results(results: Mapping[str, Experiment]) -> str:
         summary, specification = results[part].summary, results[part].study.manifest["specification"]
         (sheet,), differences = result_sheets(summary), difference_sheets(summary)
         lines += [f"**{name}**, {specification['episodes']} episodes, {sheet.title.partition(', ')[2]}:", ""]
-        lines += [_markdown(sheet), *map(_markdown, differences)]
+        lines += [markdown.table(sheet), *map(markdown.table, differences)]
     return "\n".join([*lines, *reading(results["cartpole"].summary)]) + "\n"
-
-
-def _markdown(sheet: Sheet) -> str:
-    rows = [sheet.columns, ["---"] * len(sheet.columns), *sheet.rows]
-    return "".join("| " + " | ".join(cell.strip() for cell in row) + " |\n" for row in rows)
 
 
 if __name__ == "__main__":

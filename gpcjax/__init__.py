@@ -7,6 +7,21 @@ switches jax to float64.
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "Controller": "gpcjax.policies.base:Controller",
+    "Env": "gpcjax.envs.base:Env",
+    "HostEnv": "gpcjax.envs.host:HostEnv",
+    "Info": "gpcjax.learners.base:Info",
+    "Learner": "gpcjax.learners.base:Learner",
+    "LearnerSpec": "gpcjax.describe:LearnerSpec",
+    "Moment": "gpcjax.moment:Moment",
+    "Oracle": "gpcjax.teachers.oracle:Oracle",
+    "Session": "gpcjax.engine.session:Session",
+    "Setting": "gpcjax.describe:Setting",
+    "State": "gpcjax.envs.base:State",
+    "TaskSpec": "gpcjax.describe:TaskSpec",
+    "Teacher": "gpcjax.teachers.base:Teacher",
+    "TeacherSpec": "gpcjax.describe:TeacherSpec",
+    "brax_env": "gpcjax.envs.brax_adapter:brax_env",
     "draw_report": "gpcjax.report.run:draw",
     "env_names": "gpcjax.envs.registry:env_names",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
@@ -14,14 +29,18 @@ _PUBLIC = {
     "load": "gpcjax.sweep.store:load",
     "load_corrections": "gpcjax.sweep.store:load_corrections",
     "load_learner": "gpcjax.learners.saved:load_learner",
+    "gym_env": "gpcjax.envs.host:gym_env",
+    "learner_names": "gpcjax.registry:learner_names",
     "load_policy": "gpcjax.policies.saved:load_policy",
     "make_env": "gpcjax.envs.registry:make_env",
     "make_expert": "gpcjax.envs.registry:make_expert",
     "make_learner": "gpcjax.learners.factory:make_learner",
     "make_oracle": "gpcjax.sweep.build:make_oracle",
+    "parameter": "gpcjax.envs.base:parameter",
     "run_sweep": "gpcjax.sweep.run:sweep",
     "save_learner": "gpcjax.learners.saved:save_learner",
     "save_policy": "gpcjax.learners.saved:save_policy",
+    "teacher_names": "gpcjax.registry:teacher_names",
 }
 """Public name -> where it lives. None is the name of a subpackage: importing one would hide it."""
 
@@ -41,19 +60,49 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "draw_report",
     "load",
     "load_corrections",
+    "learner_names",
+    "teacher_names",
+    "Env",
+    "State",
+    "HostEnv",
+    "brax_env",
+    "gym_env",
+    "parameter",
+    "Learner",
+    "Session",
+    "Moment",
+    "Info",
+    "Controller",
+    "Teacher",
+    "Oracle",
+    "TaskSpec",
+    "LearnerSpec",
+    "TeacherSpec",
+    "Setting",
 ]
 
 TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
+    from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
     from gpcjax.engine.evaluate import evaluate
+    from gpcjax.engine.session import Session
+    from gpcjax.envs.base import Env, State, parameter
+    from gpcjax.envs.brax_adapter import brax_env
+    from gpcjax.envs.host import HostEnv, gym_env
     from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
+    from gpcjax.learners.base import Info, Learner
     from gpcjax.learners.factory import make_learner
     from gpcjax.learners.saved import load_learner, save_learner, save_policy
+    from gpcjax.moment import Moment
+    from gpcjax.policies.base import Controller
     from gpcjax.policies.saved import load_policy
+    from gpcjax.registry import learner_names, teacher_names
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle
     from gpcjax.sweep.run import sweep as run_sweep
     from gpcjax.sweep.store import load, load_corrections
+    from gpcjax.teachers.base import Teacher
+    from gpcjax.teachers.oracle import Oracle
 
 
 def __getattr__(name: str) -> object:

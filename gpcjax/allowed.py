@@ -106,33 +106,33 @@ def converted(kind: type, value: object) -> Any:
     return None if given != 0 and abs(number) < sys.float_info.min else number
 
 
-def checked(where: str, value: object, kind: type, allowed: Allowed) -> Any:
-    """`value` as `kind`, if it is allowed. Raises UserError, which begins with `where`."""
+def checked(source: str, value: object, kind: type, allowed: Allowed) -> Any:
+    """`value` as `kind`, if it is allowed. Raises UserError, which begins with `source`."""
     result = converted(kind, value)
     if result is None or not allowed.admits(result):
         choices = allowed.choices if isinstance(allowed, OneOf) and kind is str else ()
-        raise UserError(f"{where} {shown(value)}: give {allowed}{suggestion(value, choices)}")
+        raise UserError(f"{source} {shown(value)}: give {allowed}{suggestion(value, choices)}")
     return result
 
 
-def checked_series(where: str, value: object, size: int, allowed: Numbers) -> tuple[float, ...]:
-    """`size` numbers, from as many or from one for all. Raises UserError, which begins with `where`."""
-    several = entries(where, value, size + 1)
+def checked_series(source: str, value: object, size: int, allowed: Numbers) -> tuple[float, ...]:
+    """`size` numbers, from as many or from one for all. Raises UserError, which begins with `source`."""
+    several = entries(source, value, size + 1)
     each = [value] * size if several is None else several
     found = tuple(converted(float, one) for one in each)
     if len(found) != size or not all(one is not None and allowed.admits(one) for one in found):
-        raise UserError(f"{where} {shown(value)}: give {allowed}, or {size} of them")
+        raise UserError(f"{source} {shown(value)}: give {allowed}, or {size} of them")
     return found
 
 
-def entries(where: str, value: object, most: int) -> list[Any] | None:
+def entries(source: str, value: object, most: int) -> list[Any] | None:
     """The first `most` of several values, in their order; None for one value, a text, a table, an array without axes.
 
     Raises:
-        UserError: a set, whose order is another in each process; the message begins with `where`.
+        UserError: a set, whose order is another in each process; the message begins with `source`.
     """
     if isinstance(value, set | frozenset):
-        raise UserError(f"{where} {shown(value)}: a set has no order, give a list")
+        raise UserError(f"{source} {shown(value)}: a set has no order, give a list")
     one = isinstance(value, str | bytes | bytearray | Mapping) or getattr(value, "shape", None) == ()
     return None if one or not isinstance(value, Iterable) else list(itertools.islice(value, most))
 
@@ -153,11 +153,11 @@ def holds_numbers(value: object) -> bool:
     return getattr(getattr(value, "dtype", None), "kind", "") in tuple("fiu") and not is_no_data(value)
 
 
-def checked_path(where: str, value: object) -> Path:
-    """A path, given as text or as a path. Raises UserError, which begins with `where`."""
+def checked_path(source: str, value: object) -> Path:
+    """A path, given as text or as a path. Raises UserError, which begins with `source`."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value
     if not isinstance(text, str) or not text.strip() or "\0" in text:
-        raise UserError(f"{where} {shown(value)}: give a path")
+        raise UserError(f"{source} {shown(value)}: give a path")
     return Path(text)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import gpcjax
 from gpcjax import cli_options
 from gpcjax.envs.registry import env_names
-from gpcjax.errors import Failure, UserError
+from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
@@ -22,7 +22,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
-from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
+from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec, read_toml
 
 FAILED = 1
 MISTAKE = 2
@@ -72,6 +72,8 @@ def _guarded(words: Sequence[str]) -> int:
         sys.stdout.flush()
         return status
     except UserError as error:
+        if isinstance(error, ForeignError):
+            _show(error.details)
         return _tell(f"error: {error}", MISTAKE)
     except KeyboardInterrupt as stop:
         return _tell(str(stop) or "stopped", _status(stop))
@@ -179,19 +181,19 @@ def _sweep(arguments: argparse.Namespace) -> int:
     return _teach(spec, out, jobs)
 
 
-def _with_schedule(given: dict[str, Given], dry_run: bool) -> dict[str, Given]:
+def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[str, Given | Unchecked]:
     """The settings with the schedule that `rate_from` names; for a check it is enough that the folder is there."""
     setting = given.pop("rate_from")
     folder = Path(os.path.expanduser(setting.value))
     for name in ("rate_schedule", "rate"):
         if name in given:
-            raise UserError(f"{given[name].where}: beside rate_from it changes nothing, give one of the two")
+            raise UserError(f"{given[name].source}: beside rate_from it changes nothing, give one of the two")
     check_report(folder)
     if dry_run:
         return given
     from gpcjax.sweep.schedule import offered_rates
 
-    return given | {"rate_schedule": Given(offered_rates(folder), setting.where)}
+    return given | {"rate_schedule": Given(offered_rates(folder), setting.source)}
 
 
 def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:
@@ -214,7 +216,7 @@ def _report(out: Path) -> int:
     from rich.console import Console
 
     from gpcjax.report.run import draw
-    from gpcjax.report.tables import render
+    from gpcjax.report.terminal import render
     from gpcjax.report.words import printable
 
     summary = draw(out)
@@ -276,6 +278,14 @@ def _full_text(failure: Failure, out: Path) -> str:
     except OSError:
         return ""
     return f". This is a fault of gpcjax: its full text is in {path}"
+
+
+def _show(traceback: str) -> None:
+    """Somebody else's traceback, as it is."""
+    try:
+        print(traceback, end="", file=sys.stderr, flush=True)
+    except OSError:  # as below
+        leave("stderr")
 
 
 def _tell(message: str, status: int) -> int:

@@ -12,13 +12,25 @@ from typing import NoReturn
 from gpcjax.allowed import Anything, shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import PARTS, folder
-from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, Option, parse
-from gpcjax.sweep.spec import Given
+from gpcjax.sweep.options import (
+    EXPERIMENT,
+    OF_CREDIT,
+    OF_LEARNERS,
+    OF_TEACHERS,
+    OPTIONS,
+    RUNNING,
+    VARIANTS,
+    Option,
+    parse,
+)
+from gpcjax.sweep.spec import Given, Unchecked
 
 _GROUPS = (
     ("experiment", EXPERIMENT),
     ("variants of GPC and GPC-NS", VARIANTS),
-    ("hyperparameters (without them, the tables of the thesis)", TUNING),
+    ("hyperparameters of the learners (without them, the tables of the thesis)", OF_LEARNERS),
+    ("the teacher, beside Alg. 4 of the thesis", OF_TEACHERS),
+    ("how a learner reckons with late advice", OF_CREDIT),
     ("running", RUNNING),
 )
 
@@ -36,6 +48,8 @@ class Flag:
     default: str | None = None
     negative: bool = False
     """Whether there is a --no-NAME as well; the switch is then true, false or None."""
+    repeated: bool = False
+    """Whether it may be given several times; its value is then the list of all."""
 
     @property
     def key(self) -> str:
@@ -83,7 +97,8 @@ def _help(option: Option, command: str) -> str:
         values = option.default if isinstance(option.default, tuple) else (option.default,)
         values = DEFAULTS.get(command, {}).get(option.name, values)
         default = ",".join(str(value).removesuffix(".0") for value in values)
-    notes = [] if isinstance(option.allowed, Anything) else [str(option.allowed)]
+    unlisted = isinstance(option.allowed, Anything) and option.names is None
+    notes = [] if unlisted else [str(option.allowed)]
     if default:
         notes.append(f"default {default}")
     return f"{option.text} ({'; '.join(notes)})" if notes else option.text
@@ -104,9 +119,16 @@ def _sweep(name: str) -> Command:
         Flag("--dry-run", "check all, say how many cells, run nothing"),
         Flag("--quick", "with the settings of the file's table [quick]"),
     )
+    own = Flag(
+        "--set",
+        "a setting of a learner or teacher of one's own, by its name; may be given several times",
+        "NAME=A,B,...",
+        value="NAME=VALUE",
+        repeated=True,
+    )
     groups = tuple((title, tuple(_flag(option, name) for option in options)) for title, options in _GROUPS)
     text = "a file with these names as keys; flags win"
-    return Command(_TEXTS[name], (*groups, ("", switches)), word="TOML", word_text=text)
+    return Command(_TEXTS[name], (*groups, ("", (own, *switches))), word="TOML", word_text=text)
 
 
 _TEXTS = {
@@ -192,7 +214,8 @@ def _parsers() -> dict[str, argparse.ArgumentParser]:
             group = sub.add_argument_group(title) if title else sub
             for flag in flags:
                 if flag.metavar:
-                    group.add_argument(flag.name, metavar=flag.metavar, help=flag.text)
+                    action = "append" if flag.repeated else "store"
+                    group.add_argument(flag.name, action=action, metavar=flag.metavar, help=flag.text)
                 else:
                     action = argparse.BooleanOptionalAction if flag.negative else "store_true"
                     group.add_argument(flag.name, action=action, help=flag.text)
@@ -233,11 +256,13 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
     return argparse.Namespace(command=first, **values)
 
 
-def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | bool | None]:
+def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | bool | list[str] | None]:
     """The command's values by key, from the words behind its name."""
-    values: dict[str, str | bool | None] = {
+    values: dict[str, str | bool | list[str] | None] = {
         flag.key: flag.default if flag.metavar or flag.negative else False for flag in command.flags
     }
+    several: dict[str, list[str]] = {flag.key: [] for flag in command.flags if flag.repeated}
+    values |= several
     if command.word:
         values[command.word.lower()] = None
     meaning = {flag.name: (flag, True) for flag in command.flags}
@@ -278,7 +303,10 @@ def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | 
                 value = left.pop()
             if not value.strip():
                 raise UserError(f"{said} {shown(value)}: an empty value, give {flag.value}")
-            keep(flag.key, said, value)
+            if flag.repeated:
+                several[flag.key].append(value)
+            else:
+                keep(flag.key, said, value)
     if command.needed and command.word.lower() not in given:
         raise UserError(f"{command.word} is missing: see gpcjax {name} --help")
     return values
@@ -289,12 +317,28 @@ def _is_flag(word: str) -> bool:
     return word.startswith("--") or word == "-h"
 
 
-def settings(arguments: argparse.Namespace) -> dict[str, Given]:
-    """The options given as flags, each checked alone."""
-    given = {}
+def settings(arguments: argparse.Namespace) -> dict[str, Given | Unchecked]:
+    """The options given as flags, each checked alone; those of --set that nobody here knows are left to `make_spec`."""
+    given: dict[str, Given | Unchecked] = {}
     for option in OPTIONS.values():
         value = getattr(arguments, option.name)
         if value is not None:
             checked = value if option.kind is bool else parse(option, value, option.flag)
             given[option.name] = Given(checked, option.flag)
+    for word in arguments.set:
+        key, equals, text = word.partition("=")
+        name, source = key.strip().replace("-", "_"), f"--set {key.strip()}"
+        if not equals or not name.isidentifier():
+            raise UserError(f"--set {shown(word)}: give NAME=VALUE, or NAME=A,B for several values")
+        if name in given:
+            raise UserError(f"{source} is given twice: give it once")
+        option = OPTIONS.get(name)
+        if option is None:
+            given[name] = Unchecked(text, source, key.strip())
+        elif option.kind is bool:
+            raise UserError(
+                f"{source}: a switch takes no value, give {option.flag} or --no-{option.flag[2:]}"
+            )
+        else:
+            given[name] = Given(parse(option, text, source), source)
     return given

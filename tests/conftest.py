@@ -38,7 +38,9 @@ hypothesis.settings.load_profile("gpcjax")
 
 
 LONGEST = (
+    "test_extending.py",
     "sweep/test_sweeps.py",
+    "engine/test_rollout.py",
     "reproduce/test_real.py",
     "test_settings.py",
     "sweep/test_lander.py",

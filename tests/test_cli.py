@@ -40,7 +40,7 @@ def calls(monkeypatch, tmp_path):
 
     monkeypatch.setitem(sys.modules, "gpcjax.report.run", SimpleNamespace(draw=draw))
     monkeypatch.setitem(
-        sys.modules, "gpcjax.report.tables", SimpleNamespace(render=lambda summary: "the table")
+        sys.modules, "gpcjax.report.terminal", SimpleNamespace(render=lambda summary: "the table")
     )
     monkeypatch.setattr("gpcjax.sweep.executors.run_alone", lambda *words: record.built.append(words) or 0)
     return record
@@ -171,7 +171,10 @@ def test_report_and_oracles(calls, capsys):
     assert cli.main(["oracles"]) == 0
     assert cli.main(["oracles", "--env", "pendulum,pendulum"]) == 0
     module = "gpcjax.sweep.oracles"
-    assert calls.built == [(module, "cartpole", "pendulum", "lunarlander"), (module, "pendulum")]
+    assert calls.built == [
+        (module, "cartpole", "pendulum", "lunarlander", "mountaincar"),
+        (module, "pendulum"),
+    ]
 
 
 @pytest.mark.parametrize("words", [["--version"], ["version"]])
@@ -198,12 +201,23 @@ def test_nothing_prints_the_help(capsys):
     assert "usage: gpcjax" in capsys.readouterr().err
 
 
+ENVS = "cartpole, pendulum, lunarlander, mountaincar, module:NAME, gym:ID or brax:NAME"
+
 BAD = [
-    ("--env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
-    ("--env cartpol", "--env 'cartpol': give cartpole, pendulum or lunarlander (did you mean cartpole?)"),
-    ("--env=", "--env '': an empty value, give cartpole, pendulum or lunarlander"),
-    ("", "no env: give cartpole, pendulum or lunarlander"),
-    ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns or coach"),
+    (
+        "--env foo",
+        f"--env 'foo': give {ENVS}",
+    ),
+    (
+        "--env cartpol",
+        f"--env 'cartpol': give {ENVS} (did you mean cartpole?)",
+    ),
+    (
+        "--env=",
+        f"--env '': an empty value, give {ENVS}",
+    ),
+    ("", f"no env: give {ENVS}"),
+    ("--env cartpole --algo gcp", "--algo 'gcp': give gpc, gpc-ns, coach, d-coach or module:NAME"),
     ("--env cartpole --error 1.5", "--error 1.5: give a number from 0 to 1"),
     ("--env cartpole --error 0,nan", "--error nan: give a number from 0 to 1"),
     ("--env cartpole --error -inf", "--error -inf: give a number from 0 to 1"),
@@ -216,16 +230,22 @@ BAD = [
     ("--env cartpole --jobs 0", "--jobs 0: give a whole number from 1 to 1,024"),
     (
         "--env cartpole --oracle energy",
-        "--oracle 'energy': give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
+        "--oracle 'energy': give gpc, gpc-2, gpc-3, lqr, network, mpc, the folder of a saved policy or module:function "
+        "for cartpole",
     ),
     ("--env cartpole --beta 0", "--beta 0: give a number above 0"),
     ("--env cartpole --algo gpc --beta 3", "--beta: with gpc alone it changes nothing, give it with coach"),
     ("--env cartpole --seeds 1000000", "3,000,000 cells: give fewer seeds or values"),
-    ("--env cartpole --erorr 0", "'--erorr' is no flag (did you mean --error?): give --env, --algo, --error"),
+    (
+        "--env cartpole --erorr 0",
+        "'--erorr' is no flag (did you mean --error?): give --env, --algo, --teacher, --error",
+    ),
     ("--env cartpole --err 0", "'--err' is no flag"),
     ("--env cartpole --seeds", "--seeds has no value: give a whole number from 1"),
     ("--env cartpole --seeds --jobs 2", "--seeds has no value: give a whole number from 1"),
     ("--env cartpole a.toml b.toml", "'b.toml' is one value too many"),
+    ("--env cartpole --credit-shape 3", "--credit-shape: without credit it changes nothing, give both"),
+    ("--env cartpole --delay 0,0.2 --delay-longest 0.1", "--delay-longest 0.1: give at least --delay, 0.2"),
     ("none.toml", "none.toml: cannot be read (No such file or directory)"),
     (".", ".: cannot be read (Is a directory)"),
     ("a\0b", "a\\x00b: "),
@@ -253,7 +273,10 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report .", "manifest.json: cannot be read (No such file or directory)"),
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
         ("report --out a", "'--out' is no flag: give --help"),
-        ("oracles --env foo", "--env 'foo': give cartpole, pendulum or lunarlander"),
+        (
+            "oracles --env foo",
+            f"--env 'foo': give {ENVS}",
+        ),
         (
             "reproduce --only foo",
             "--only 'foo': give illustrations, pendulum, cartpole, active, oracles, lander",
@@ -288,7 +311,7 @@ def test_a_mistake_with_another_command_is_one_line(words, message, calls, capsy
         ),
         (
             'env = "cartpole"\nerorr = 0',
-            "a.toml: 'erorr' is no setting (did you mean error?): give env, algo, error",
+            "a.toml: 'erorr' is no setting (did you mean error?): give env, algo, teacher, error",
         ),
         ('env = "cartpole"\nerror = [0, 1.5]', "a.toml: error 1.5: give a number from 0 to 1"),
         ('env = "cartpole"\nseeds = "3"', "a.toml: seeds '3': give a whole number from 1"),
@@ -297,10 +320,14 @@ def test_a_mistake_with_another_command_is_one_line(words, message, calls, capsy
         ('env = "cartpole"\nsparsify = 1', "a.toml: sparsify 1: give true or false"),
         (
             'env = "pendulum"\noracle = "lqr"',
-            "a.toml: oracle 'lqr': give gpc or energy or network or mpc for pendulum",
+            "a.toml: oracle 'lqr': give gpc, energy, network, mpc, the folder of a saved policy or "
+            "module:function for pendulum",
         ),
         ('[sweep]\nenv = "pendulum"', "a.toml: 'sweep' is no setting"),
-        ("[env]\na = 1", "a.toml: env {'a': 1}: give cartpole, pendulum or lunarlander"),
+        (
+            "[env]\na = 1",
+            f"a.toml: env {{'a': 1}}: give {ENVS}",
+        ),
         ("\udcff", "a.toml: this is not a text file in UTF-8"),
     ],
 )
@@ -389,7 +416,7 @@ def test_the_module_is_the_command():
     command = [sys.executable, "-m", "gpcjax", "sweep", "--env", "foo"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=Path(gpcjax.__file__).parents[1])
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "gpcjax: error: --env 'foo': give cartpole, pendulum or lunarlander\n"
+    assert done.stderr == f"gpcjax: error: --env 'foo': give {ENVS}\n"
 
 
 def test_argparse_gives_no_help_with_a_percent_sign():

@@ -30,7 +30,7 @@ def loaded(code):
     [
         "import gpcjax",
         "import gpcjax; dir(gpcjax); gpcjax.__version__; hasattr(gpcjax, 'nothing')",
-        "import gpcjax.cli, gpcjax.sweep.plan, gpcjax.sweep.runfolder, gpcjax.envs.registry, gpcjax.learners.presets",
+        "import gpcjax.cli, gpcjax.sweep.plan, gpcjax.sweep.runfolder, gpcjax.envs.tasks, gpcjax.learners.descriptions",
     ],
 )
 def test_importing_loads_nothing_heavy(code):

@@ -15,7 +15,7 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.spec import as_dict, spec_of
 
 ROOT = Path(__file__).parents[1]
-VARIABLES = "ENV ERR ALGO SEEDS EPISODES ORACLE DELTA RATE LP LH OUT JOBS SPEC ARGS".split()
+VARIABLES = "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH OUT JOBS SPEC ARGS".split()
 RECORDER = """#!{python}
 import json, sys
 with open("called", "a") as file:
@@ -65,7 +65,7 @@ def test_every_variable_becomes_its_flag(folder):
     assert words[-3:] == ["--beta", "1,2", "--no-sparsify"]
     flags = dict(word[2:].split("=") for word in words[4:-3])
     assert {"policy-length-scale": "lp", "human-length-scale": "lh", "error": "err"}.items() <= flags.items()
-    assert all(name.replace("-", "_") in OPTIONS for name in flags)
+    assert all(name.replace("-", "_") in OPTIONS for name in flags if name != "set")
     assert len(flags) == len(VARIABLES) - 2
 
 
@@ -241,6 +241,8 @@ def test_help_tells_the_defaults_of_the_command_line():
     ]
     assert {variable for variable, _ in pairs} == set(VARIABLES) - {"SPEC", "ARGS"}
     for variable, flag in pairs:
+        if flag == "set":
+            continue
         option = OPTIONS[flag.replace("-", "_")]
         line = re.search(rf"^#:   (?:\w+, )?{variable}\b.*$", text, re.MULTILINE)[0]
         if option.name in ("episodes", "oracle"):

@@ -346,7 +346,7 @@ def torture(cases: int, seed: int, sealed: bool = True) -> Iterator[tuple[str, s
 def _workers() -> Iterator[Pretended]:
     pretended = Pretended()
     with (
-        mock.patch.object(run_module, "Executors", pretended),
+        mock.patch.object(run_module, "Processes", pretended),
         contextlib.redirect_stderr(io.StringIO() if not isinstance(sys.stderr, io.StringIO) else sys.stderr),
     ):
         yield pretended

@@ -10,9 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
+from gpcjax.envs.base import State
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.learners.factory import make_learner
+from gpcjax.moment import Moment
 from gpcjax.sweep.build import make_oracle
 
 CAPACITY = 256
@@ -55,7 +58,7 @@ def make(
                 delta=teacher.delta,
                 active_gain=teacher.active_gain,
                 active=False,
-            ).advise(jax.random.uniform(coin, (1,)), action, target(situation.obs), jnp.zeros(1))
+            ).advise(jax.random.uniform(coin, (1,)), _moment(situation, action, target))
             state = lax.cond(
                 (advice != 0).any(),
                 lambda state: learner.correct(state, situation.obs, action, advice)[0],
@@ -84,3 +87,15 @@ def make(
         )
 
     return run
+
+
+def _moment(situation: State, action: Array, target: Callable[[Array], Array]) -> Moment:
+    """What the teacher is asked about."""
+    return Moment(
+        obs=situation.obs,
+        action=action,
+        episode=jnp.int32(0),
+        step=situation.time,
+        target=target(situation.obs),
+        sigma_human=jnp.zeros(1),
+    )

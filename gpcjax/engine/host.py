@@ -14,9 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from gpcjax.engine import streams, teaching
-from gpcjax.engine.lanes import Lane, Phase, fresh
-from gpcjax.engine.teaching import Expert
+from gpcjax.engine import streams
+from gpcjax.engine.asking import Expert, ask, block_coins, may_advise
+from gpcjax.engine.correcting import correct, idle_is_due
+from gpcjax.engine.episodes import end_episodes
+from gpcjax.engine.history import Credit
+from gpcjax.engine.lanes import Lane, Phase, Start, fresh
+from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, watch
 from gpcjax.envs.base import State, begin
 from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Learner, Status
@@ -80,14 +84,14 @@ class HostLoop(eqx.Module):
     episodes: int = eqx.field(static=True)
     grows: bool = eqx.field(static=True, default=True)
 
-    def enter(self, learner: Learner, teacher: Teacher, seed: int) -> tuple[Run, tuple[Any, ...]]:
+    def enter(self, start: Start) -> tuple[Run, tuple[Any, ...]]:
         """The simulation of a run that begins, and what `begin` takes."""
-        run = Run(self.env, seed, self.episodes)
-        return run, (learner, teacher, np.int64(seed), run.obs)
+        run = Run(self.env, start.seed, self.episodes)
+        return run, (start.learner, start.teacher, np.int64(start.seed), start.credit, run.obs)
 
-    def begin(self, learner: Learner, teacher: Teacher, seed: Any, obs: Any) -> Lane:
+    def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None, obs: Any) -> Lane:
         """A lane at its first episode."""
-        return fresh(begin((), obs), learner, teacher, seed, self.episodes)
+        return fresh(begin((), obs), learner, teacher, seed, self.episodes, credit)
 
     def drive(
         self, call: Callable[..., tuple[Any, ...]], runs: Mapping[int, Run], lanes: int, rounds: int
@@ -114,27 +118,36 @@ class HostLoop(eqx.Module):
         """
         told = News(news, self.env.obs_size)
         block = self._take_in(block, told)
-        block = teaching.end_episodes(
+        block = end_episodes(
             block, self.episodes, lambda block, _: jax.vmap(_begin, in_axes=-1, out_axes=-1)(told.start)
         )
         running = (block.phase == Phase.RUNNING) & ~last
-        proposed = block.controller(block.env.obs)
-        broken = running & ~teaching.all_finite(block.env.obs, proposed, block.tally.returns[None])
+        proposed, finite = propose(block.controller, block.env.obs, block.tally.returns)
+        broken = running & ~finite
         running = running & ~broken
-        may = jax.vmap(_may_advise, in_axes=(-1, 0, -1, -1))(
-            block.teacher, block.learner, block.episode, teaching.block_coins(block)
-        )
+        may = may_advise(block.teacher, block.learner, block.episode, block.env.time, block_coins(block))
+        if block.learner.idle_every:
+            may |= idle_is_due(block.learner, block.env.time)
         block = dataclasses.replace(
             block,
             waiting=running & may,
             action=jnp.clip(proposed, -1.0, 1.0),
             status=jnp.where(broken, jnp.int32(Status.NON_FINITE), block.status),
         )
-        block, advice = teaching.ask(block, self.expert, self.grows)
-        block = teaching.correct(block, advice)
-        going = running & (block.phase != Phase.NEEDS_ROOM)
-        tally = teaching.count_clipped(block.tally, proposed, going)
-        block = dataclasses.replace(block, tally=tally, waiting=block.waiting & ~going)
+        moment, before = moment_of(block), block.memory
+        block = dataclasses.replace(block, memory=watch(block, before, moment, running))
+        block, advice = ask(block, self.expert, self.grows)
+        block = correct(block, advice)
+        stuck = block.phase == Phase.NEEDS_ROOM
+        going = running & ~stuck
+        block = dataclasses.replace(
+            block,
+            tally=count_clipped(block.tally, proposed, going),
+            waiting=block.waiting & ~going,
+            # A lane that is stuck comes back to this step, and its teacher sees it then.
+            memory=jax.tree.map(lambda new, old: jnp.where(stuck, old, new), block.memory, before),
+            history=remember(block.history, moment, going),
+        )
         return block, jnp.concatenate([block.action, going[None].astype(block.action.dtype)])
 
     def _take_in(self, block: Lane, news: News) -> Lane:
@@ -160,7 +173,3 @@ class HostLoop(eqx.Module):
 
 def _begin(obs: Float[Array, " obs"]) -> State:
     return begin((), obs)
-
-
-def _may_advise(teacher: Teacher, learner: Learner, episode: Array, coins: Array) -> Bool[Array, ""]:
-    return teacher.during(episode).may_advise(coins, learner.largest_sigma()).any()

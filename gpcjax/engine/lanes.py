@@ -7,6 +7,7 @@ what every step touches (observations, the controller), so that arithmetic runs 
 
 import enum
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from gpcjax.engine import streams
+from gpcjax.engine.history import Credit, History
 from gpcjax.envs.base import State as EnvState
 from gpcjax.learners.base import Learner
 from gpcjax.policies.base import Controller
@@ -53,6 +55,8 @@ class EpisodeRows(eqx.Module):
     """Steps at which the coins allowed advice, so that the teacher's chance was worked out."""
     chance_sum: Float[Array, "episodes *lanes"]
     """The chances of advice at those steps, each the mean over the action dimensions."""
+    own: dict[str, Float[Array, "episodes *lanes"]]
+    """What the learner measured at the episode's end (`Learner.measure`)."""
 
 
 class Tally(eqx.Module):
@@ -103,6 +107,27 @@ class Lane(eqx.Module):
     tally: Tally
     rows: EpisodeRows
     log: CorrectionLog
+    memory: PyTree
+    """What the teacher remembers; nothing of one that does not watch."""
+    history: History | None
+    """The last steps of the episode, where advice may be about them."""
+    credit: Credit | None
+    """How the learner reckons with late advice; None if all advice is about the present step."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A run to begin.
+
+    Numbers of `learner`, `teacher` and `credit` may differ between the starts of one pool, their structure may not.
+    """
+
+    name: Any
+    """The caller's own, handed back with the result."""
+    learner: Learner
+    teacher: Teacher
+    seed: int
+    credit: Credit | None = None
 
 
 FIRST = ("learner", "state", "log")
@@ -136,17 +161,25 @@ def coin_window(
 
     def possible(step: Int[Array, ""]) -> Bool[Array, ""]:
         coins = streams.coins(seed, episode, step, learner.action_size)
-        return teacher.may_advise(coins, largest).any()
+        return teacher.may_advise(coins, largest, step).any()
 
     offsets = jnp.arange(WINDOW, dtype=jnp.uint32)
     bits = jax.vmap(possible)(start + offsets.astype(start.dtype))
     return jnp.where(bits, jnp.uint32(1) << offsets, jnp.uint32(0)).sum(dtype=jnp.uint32)
 
 
-def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""], episodes: int) -> Lane:
+def fresh(
+    env: EnvState,
+    learner: Learner,
+    teacher: Teacher,
+    seed: Int[Array, ""],
+    episodes: int,
+    credit: Credit | None = None,
+) -> Lane:
     """A lane at the start `env` of its first episode, its learner idle."""
+    depth = max(teacher.reach, 0 if credit is None else credit.reach)
     zero = jnp.zeros((), jnp.int32)
-    state = learner.init()
+    state = learner.init(streams.first_key(seed))
     rows = jnp.zeros(episodes, jnp.int32)
     return Lane(
         learner=learner,
@@ -174,6 +207,7 @@ def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""
             full=rows,
             asked=rows,
             chance_sum=jnp.zeros(episodes),
+            own=dict.fromkeys(jax.eval_shape(lambda: learner.measure(state)), jnp.zeros(episodes)),
         ),
         log=CorrectionLog(
             count=zero,
@@ -181,6 +215,9 @@ def fresh(env: EnvState, learner: Learner, teacher: Teacher, seed: Int[Array, ""
             values=jnp.zeros((LOGGED_CORRECTIONS, 3)),
             outcome=jnp.zeros((LOGGED_CORRECTIONS, 3), bool),
         ),
+        memory=jax.tree.map(jnp.asarray, teacher.init()) if teacher.watches else (),
+        history=History.empty(depth, learner.obs_size, learner.action_size),
+        credit=credit,
     )
 
 

@@ -17,14 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax.engine.asking import Expert
 from gpcjax.engine.host import HostLoop
-from gpcjax.engine.lanes import Lane, Phase, map_lanes
+from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
 from gpcjax.engine.rollout import Loop
-from gpcjax.engine.teaching import Expert
 from gpcjax.envs.base import Env
 from gpcjax.envs.host import HostEnv
-from gpcjax.learners.base import Learner
-from gpcjax.teachers.base import Teacher
 
 CHUNK_SECONDS = {Loop: 0.02, HostLoop: 0.1}
 """About how long a block runs between two looks of the host, which cost simulations on the host a tick of their own."""
@@ -81,20 +79,6 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
         if not chosen or (policy, human) != (chosen[-1].policy_capacity, chosen[-1].human_capacity):
             chosen.append(dataclasses.replace(tier, policy_capacity=policy, human_capacity=human))
     return tuple(chosen)
-
-
-@dataclasses.dataclass(frozen=True)
-class Start:
-    """A run to begin.
-
-    Numbers of `learner` and `teacher` may differ between the starts of one pool, their structure may not.
-    """
-
-    name: Any
-    """The caller's own, handed back with the result."""
-    learner: Learner
-    teacher: Teacher
-    seed: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,7 +207,7 @@ class _Block:
 
     def begin(self, starts: Sequence[Start]) -> None:
         """Puts new lanes into free places."""
-        entered = [self._loop.enter(start.learner, start.teacher, start.seed) for start in starts]
+        entered = [self._loop.enter(start) for start in starts]
         runs = [
             _Occupant(start.name, simulation) for start, (simulation, _) in zip(starts, entered, strict=True)
         ]
@@ -320,7 +304,7 @@ class _Block:
     def _empty(self) -> Lane:
         """A block without runs: every place holds a copy of one idle lane."""
         start = self._template
-        _, entry = self._loop.enter(start.learner, start.teacher, start.seed)
+        _, entry = self._loop.enter(start)
         shapes = jax.eval_shape(lambda *entry: self._sized(self._loop.begin(*entry)), *entry)
 
         def zeros(leaf: jax.ShapeDtypeStruct, axis: int) -> jax.Array:

@@ -20,9 +20,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
-from gpcjax.engine import streams, teaching
-from gpcjax.engine.lanes import WINDOW, Lane, Phase, Tally, coin_window, fresh
-from gpcjax.engine.teaching import Expert
+from gpcjax.engine import streams
+from gpcjax.engine.asking import Expert, ask
+from gpcjax.engine.correcting import correct, idle_is_due
+from gpcjax.engine.episodes import end_episodes
+from gpcjax.engine.history import Credit
+from gpcjax.engine.lanes import WINDOW, Lane, Phase, Start, Tally, coin_window, fresh
+from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, seen, watch
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.learners.base import Learner, Status
 from gpcjax.teachers.base import Teacher
@@ -45,14 +49,14 @@ class Loop(eqx.Module):
     grows: bool = eqx.field(static=True, default=True)
     stride: int = eqx.field(static=True, default=8)
 
-    def enter(self, learner: Learner, teacher: Teacher, seed: int) -> tuple[None, tuple[Any, ...]]:
+    def enter(self, start: Start) -> tuple[None, tuple[Any, ...]]:
         """Nothing on the host, and what `begin` takes."""
-        return None, (learner, teacher, np.int64(seed))
+        return None, (start.learner, start.teacher, np.int64(start.seed), start.credit)
 
-    def begin(self, learner: Learner, teacher: Teacher, seed: Any) -> Lane:
+    def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None = None) -> Lane:
         """A lane at its first episode."""
         start = started(self.env, streams.start_key(seed, 0))
-        return fresh(start, learner, teacher, seed, self.episodes)
+        return fresh(start, learner, teacher, seed, self.episodes, credit)
 
     def drive(
         self, call: Callable[..., tuple[Any, ...]], runs: Mapping[int, None], lanes: int, rounds: int
@@ -77,10 +81,10 @@ class Loop(eqx.Module):
         """Steps, advice, corrections, and new episodes, for every lane that is due."""
         block = self._draw_coins(block)
         block = self._step(block)
-        block, advice = teaching.ask(block, self.expert, self.grows)
-        block = teaching.correct(block, advice)
+        block, advice = ask(block, self.expert, self.grows)
+        block = correct(block, advice)
         block = self._execute(block)
-        return teaching.end_episodes(block, self.episodes, self._begin)
+        return end_episodes(block, self.episodes, self._begin)
 
     def _draw_coins(self, block: Lane) -> Lane:
         """Moves every window to its lane's present step, if any lane may otherwise run past its own."""
@@ -112,10 +116,19 @@ class Loop(eqx.Module):
             once_more = jax.tree.map(lambda new, old: jnp.where(suspect, new, old), careful, walked)
             return *once_more, jnp.where(suspect & broken, jnp.int32(Status.NON_FINITE), block.status)
 
-        env, tally, waiting, action, status = lax.cond(
+        env, tally, waiting, action, memory, history, status = lax.cond(
             suspect.any(), stopped, lambda: (*walked, block.status)
         )
-        return dataclasses.replace(block, env=env, tally=tally, waiting=waiting, action=action, status=status)
+        return dataclasses.replace(
+            block,
+            env=env,
+            tally=tally,
+            waiting=waiting,
+            action=action,
+            memory=memory,
+            history=history,
+            status=status,
+        )
 
     def _walk(
         self,
@@ -127,39 +140,48 @@ class Loop(eqx.Module):
         controller = block.controller
 
         def body(_: Int[Array, ""], carry: PyTree) -> PyTree:
-            (env, tally, waiting, action), broken = carry
+            (env, tally, waiting, action, memory, history), broken = carry
             moving = running & ~waiting & ~env.done
-            proposed = controller(env.obs)
-            finite = teaching.all_finite(env.obs, proposed, tally.returns[None])
+            proposed, finite = propose(controller, env.obs, tally.returns)
             broken = broken | (moving & ~finite)
             moving = goes(moving, finite)
             offset = (env.time - start).astype(jnp.uint32)
             meets = moving & (((window >> offset) & 1) == 1)
-            action = jnp.where(meets[None], jnp.clip(proposed, -1.0, 1.0), action)
-            tally = teaching.count_clipped(tally, proposed, moving)
+            if block.learner.idle_every:
+                meets |= moving & idle_is_due(block.learner, env.time)
+            chosen = jnp.clip(proposed, -1.0, 1.0)
+            action = jnp.where(meets[None], chosen, action)
+            tally = count_clipped(tally, proposed, moving)
+            if block.teacher.watches or history is not None:
+                moment = seen(block, env.obs, chosen, env.time)
+                memory = watch(block, memory, moment, moving)
+                history = remember(history, moment, moving & ~meets)
             env, tally = self._act(env, tally, proposed, moving & ~meets)
-            return (env, tally, waiting | meets, action), broken
+            return (env, tally, waiting | meets, action, memory, history), broken
 
-        carry = (block.env, block.tally, block.waiting, block.action), jnp.zeros_like(running)
-        return lax.fori_loop(0, self.stride, body, carry)
+        walked = (block.env, block.tally, block.waiting, block.action, block.memory, block.history)
+        return lax.fori_loop(0, self.stride, body, (walked, jnp.zeros_like(running)))
 
     def _act(
         self,
         env: PyTree,
         tally: Tally,
         action: Float[Array, "action lanes"],
-        where: Bool[Array, " lanes"],
+        mask: Bool[Array, " lanes"],
     ) -> tuple[PyTree, Tally]:
-        """One step of the task, for the lanes `where`."""
+        """One step of the task, for the lanes `mask`."""
         after = jax.vmap(partial(stepped, self.env), in_axes=-1, out_axes=-1)(env, action)
-        env = jax.tree.map(lambda new, old: jnp.where(where, new, old), after, env)
-        return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(where, after.reward, 0.0))
+        env = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, env)
+        return env, dataclasses.replace(tally, returns=tally.returns + jnp.where(mask, after.reward, 0.0))
 
     def _execute(self, block: Lane) -> Lane:
         """The step that the waiting lanes have chosen before they were corrected."""
         going = block.waiting & (block.phase != Phase.NEEDS_ROOM)
+        history = remember(block.history, moment_of(block), going)
         env, tally = self._act(block.env, block.tally, block.action, going)
-        return dataclasses.replace(block, env=env, tally=tally, waiting=block.waiting & ~going)
+        return dataclasses.replace(
+            block, env=env, tally=tally, history=history, waiting=block.waiting & ~going
+        )
 
     def _begin(self, block: Lane, episode: Int[Array, " lanes"]) -> PyTree:
         """The state in which each lane begins this episode."""

@@ -20,6 +20,8 @@ import gpcjax._x64  # noqa: F401
 
 START = 0
 COIN = 1
+LEARNER = 2
+TEACHER = 3
 
 Scalar = Int[Array, ""] | int
 Word = UInt32[Array, ""]
@@ -30,8 +32,7 @@ _PARITY = 0x1BD11BDA
 
 def start_key(seed: Scalar, episode: Scalar) -> PRNGKeyArray:
     """For `Env.reset` at the start of an episode (from 0)."""
-    key = jnp.stack(_episode_key(seed, START, episode))
-    return jax.random.wrap_key_data(key, impl="threefry2x32")
+    return _typed(*_episode_key(seed, START, episode))
 
 
 def reset_seeds(seed: int, episodes: int) -> list[int]:
@@ -44,6 +45,22 @@ def coins(seed: Scalar, episode: Scalar, step: Scalar, action_size: int) -> Floa
     key = _episode_key(seed, COIN, episode)
     draws = [_uniform(*threefry(key, (_word(step), _word(dimension)))) for dimension in range(action_size)]
     return jnp.stack(draws)
+
+
+def first_key(seed: Scalar) -> PRNGKeyArray:
+    """For `Learner.init`."""
+    return _typed(*threefry((_word(seed), jnp.uint32(LEARNER)), (jnp.uint32(0), jnp.uint32(1))))
+
+
+def learner_key(seed: Scalar, episode: Scalar, step: Scalar, use: Scalar = 0) -> PRNGKeyArray:
+    """For what a learner draws at one step (from 0) of an episode, another one for each use of it there."""
+    return _typed(*threefry(_episode_key(seed, LEARNER, episode), (_word(step), _word(use))))
+
+
+def draws(seed: Scalar, episode: Scalar, step: Scalar) -> Float[Array, " 3"]:
+    """What a teacher draws beside its coins at one step: uniform in [0, 1)."""
+    key = _episode_key(seed, TEACHER, episode)
+    return jnp.stack([_uniform(*threefry(key, (_word(step), _word(which)))) for which in range(3)])
 
 
 def threefry(key: tuple[Word, Word], counter: tuple[Word, Word]) -> tuple[Word, Word]:
@@ -65,6 +82,10 @@ def _first_words(seed: Scalar, episodes: int) -> UInt32[Array, " episodes"]:
 
 def _episode_key(seed: Scalar, stream: int, episode: Scalar) -> tuple[Word, Word]:
     return threefry((_word(seed), jnp.uint32(stream)), (_word(episode), jnp.uint32(0)))
+
+
+def _typed(high: Word, low: Word) -> PRNGKeyArray:
+    return jax.random.wrap_key_data(jnp.stack([high, low]), impl="threefry2x32")
 
 
 def _word(value: Scalar) -> Word:

@@ -50,9 +50,9 @@ class Env(ByIdentity):
     """
 
     @property
-    @abc.abstractmethod
     def name(self) -> str:
-        """The name under which results of this task are kept."""
+        """The name that messages have for this task."""
+        return type(self).__name__
 
     @property
     @abc.abstractmethod
@@ -73,6 +73,30 @@ class Env(ByIdentity):
     @abc.abstractmethod
     def step(self, state: State, action: Float[Array, " action"]) -> State:
         """Advance by one step with `action`, each component clipped to [-1, 1]."""
+
+    def begin(self, physics: PyTree[Array], obs: Float[Array, " obs"] | None = None) -> State:
+        """What `reset` gives: an episode that starts at `physics`, which is seen as it is unless `obs` is given."""
+        return begin(physics, physics if obs is None else obs)
+
+    def advance(
+        self,
+        state: State,
+        physics: PyTree[Array],
+        obs: Float[Array, " obs"] | None = None,
+        *,
+        reward: Any,
+        terminated: Any = False,
+    ) -> State:
+        """What `step` gives: a step from `state` to `physics`, truncated after `max_steps`."""
+        time = state.time + 1
+        return State(
+            physics=physics,
+            obs=physics if obs is None else obs,
+            reward=jnp.asarray(reward, float),
+            terminated=jnp.asarray(terminated, bool),
+            truncated=time >= self.max_steps,
+            time=time,
+        )
 
 
 def begin(physics: PyTree[Array], obs: Float[Array, " obs"]) -> State:
@@ -158,19 +182,24 @@ def parameter(value: Any) -> Scalar:
     return jnp.asarray(value, jnp.float64)
 
 
-def check_parameters(env: Env, *, may_be_zero: tuple[str, ...] = ()) -> None:
+def check_parameters(
+    env: Env, *, may_be_zero: tuple[str, ...] = (), may_be_negative: tuple[str, ...] = ()
+) -> None:
     """Refuse what no physics has. Traced values cannot be looked at and pass.
 
     Raises:
-        ValueError: a parameter is not finite or not above zero (a few may be zero), or `max_steps` is no
-            whole number of at least 1.
+        ValueError: a parameter is not finite or not above zero (a few may be zero, or of any sign), or `max_steps` is
+            no whole number of at least 1.
     """
     checked(f"{env.name}: max_steps", env.max_steps, int, STEPS)
     for name, value in vars(env).items():
         if name == "max_steps" or isinstance(value, Tracer):
             continue
-        concrete, zero = np.asarray(value), name in may_be_zero
-        if not (np.isfinite(concrete) & ((concrete >= 0) if zero else (concrete > 0))).all():
-            raise UserError(
-                f"{env.name}: {name} must be finite and {'>= 0' if zero else '> 0'}, got {concrete}"
-            )
+        concrete, least = np.asarray(value), ""
+        possible = np.isfinite(concrete)
+        if name in may_be_zero:
+            possible, least = possible & (concrete >= 0), " and >= 0"
+        elif name not in may_be_negative:
+            possible, least = possible & (concrete > 0), " and > 0"
+        if not possible.all():
+            raise UserError(f"{env.name}: {name} must be finite{least}, got {concrete}")

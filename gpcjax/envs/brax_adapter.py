@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import STEPS, checked, shown
 from gpcjax.envs.base import Env, State, begin
+from gpcjax.envs.brax_training import quiet
 from gpcjax.errors import UserError
 
 
@@ -39,6 +40,11 @@ class BraxEnv(Env):
     @property
     def action_size(self) -> int:
         return self.sizes[1]
+
+    @property
+    def time_step(self) -> float:
+        """Seconds of a step."""
+        return float(self.env.dt)
 
     def reset(self, key: PRNGKeyArray) -> State:
         inner = jax.tree.map(_strong, self.env.reset(key))
@@ -77,8 +83,9 @@ def brax_env(env: Any, *, max_steps: Any = 1000, name: Any = None, **arguments: 
             reset by themselves or batch), observations that are not one flat array, or `max_steps` that is
             no whole number of at least 1.
     """
-    import brax.envs
-    from brax.envs.wrappers.training import AutoResetWrapper, EvalWrapper, VmapWrapper
+    with quiet():
+        import brax.envs
+        from brax.envs.wrappers.training import AutoResetWrapper, EvalWrapper, VmapWrapper
 
     max_steps = checked("max_steps", max_steps, int, STEPS)
     if name is not None and (not isinstance(name, str) or not name):
@@ -86,7 +93,8 @@ def brax_env(env: Any, *, max_steps: Any = 1000, name: Any = None, **arguments: 
     if isinstance(env, str):
         label = env
         try:
-            env = brax.envs.get_environment(env, **arguments)
+            with quiet():
+                env = brax.envs.get_environment(env, **arguments)
         except KeyError:
             raise ValueError(f"unknown brax environment {label!r}; allowed: {_brax_names()}") from None
     elif not isinstance(env, brax.envs.Env):

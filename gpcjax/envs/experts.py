@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from gpcjax.elementary import tanh
 from gpcjax.envs.base import parameter
 from gpcjax.envs.cartpole import CartPole
 from gpcjax.policies.base import ByIdentity
@@ -108,6 +109,32 @@ class EnergySwingUp(ByIdentity):
         pump = self.pump_gain * (self.surplus - energy) * (theta_dot + self.lead * sin)
         weight = jax.nn.sigmoid((cos - self.fade_at) / self.fade_width)
         return jnp.clip(weight * stabilise + (1.0 - weight) * pump, -1.0, 1.0)[None]
+
+
+class ValleyPump(ByIdentity):
+    """Pumps a mountain car out of its valley: it pushes the way the car moves.
+
+    The action is strength * tanh((velocity + nudge) / width).
+
+    | Field      | Meaning                                                            | Default | Unit            |
+    |------------|--------------------------------------------------------------------|---------|-----------------|
+    | `strength` | the largest action                                                 | 0.5     |                 |
+    | `width`    | velocity from which on the push is about the largest               | 0.01    | m for each step |
+    | `nudge`    | added to the velocity: a car at rest on the valley's floor is pushed | 0.001 | m for each step |
+
+    A push costs its square and adds energy in proportion to itself, so that a weak and long one is the cheapest: at a
+    strength of 0.25 the mean return of the default `MountainCar` is 98.7, here it is 97.0, at full strength 93.0. But
+    below 0.19 a swing from the wall on the left does not reach the goal, and a learner that comes only near to its
+    expert needs some distance from there.
+    """
+
+    strength: Float[Array, ""] = eqx.field(default=0.5, converter=parameter)
+    width: Float[Array, ""] = eqx.field(default=0.01, converter=parameter)
+    nudge: Float[Array, ""] = eqx.field(default=0.001, converter=parameter)
+
+    def __call__(self, obs: Float[Array, "2"]) -> Float[Array, "1"]:
+        action = self.strength * tanh((obs[1] + self.nudge) / self.width)
+        return jnp.clip(action, -1.0, 1.0)[None]
 
 
 class LanderHeuristic(ByIdentity):

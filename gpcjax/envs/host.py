@@ -1,5 +1,6 @@
 """Tasks that gymnasium simulates on the host, one object an episode, beside those that are compiled."""
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +13,9 @@ from jaxtyping import Float
 from gpcjax.allowed import STEPS, checked, converted, holds_numbers, is_no_data, shown
 from gpcjax.errors import UserError
 
+UNLIMITED = 1000
+"""Steps of an episode that nothing else ends."""
+
 
 class Outcome(NamedTuple):
     """What one step of a simulation brought, as gymnasium gives it: every step pays for a conversion."""
@@ -21,21 +25,22 @@ class Outcome(NamedTuple):
     terminated: bool
     """The task itself ended."""
     truncated: bool
-    """`max_steps` were taken."""
+    """A limit of time was reached: `max_steps`, or the simulation's own."""
 
 
 @dataclass(frozen=True)
 class HostEnv:
     """A task of gymnasium with continuous actions; `simulate` gives as many independent simulations as are wanted.
 
-    Gymnasium's wrappers are left out: the time limit is ours, and their checks cost as much as the physics do.
+    With `max_steps` gymnasium's wrappers are left out: the time limit is ours, and their checks cost as much as the
+    physics do. Without, the task is as gymnasium makes it, with its own time limit, truncation and wrappers.
 
-    | Field       | Meaning                                                             |
-    |-------------|---------------------------------------------------------------------|
-    | `name`      | under which results of this task are kept                           |
-    | `gym_id`    | of gymnasium                                                        |
-    | `max_steps` | of an episode                                                       |
-    | `options`   | keyword arguments of `gymnasium.make`                               |
+    | Field       | Meaning                                                                              |
+    |-------------|--------------------------------------------------------------------------------------|
+    | `name`      | under which results of this task are kept                                            |
+    | `gym_id`    | of gymnasium, or the class of an environment that is not registered there             |
+    | `max_steps` | of an episode; None leaves its end to the task, or is 1,000 where gymnasium knows none |
+    | `options`   | keyword arguments of `gymnasium.make`, or of the class                               |
 
     Raises:
         ValueError: gymnasium does not know the task, a part of it is not installed, its observations are no vector, or
@@ -43,31 +48,37 @@ class HostEnv:
     """
 
     name: str
-    gym_id: str
-    max_steps: int
+    gym_id: str | type[Any]
+    max_steps: int | None
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
     action_size: int = field(init=False)
     _centre: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
     _reach: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
+    _limit: int | None = field(init=False, compare=False, repr=False)
+    """Of steps, where the simulation itself has none."""
 
     def __post_init__(self) -> None:
-        max_steps = checked(f"{self.name}: max_steps", self.max_steps, int, STEPS)
-        object.__setattr__(self, "max_steps", max_steps)
+        if self.max_steps is not None:
+            max_steps = checked(f"{self.name}: max_steps", self.max_steps, int, STEPS)
+            object.__setattr__(self, "max_steps", max_steps)
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
         env = self._make()
-        observations, actions = env.observation_space.shape, getattr(env.action_space, "high", None)
-        if observations is None or len(observations) != 1:
-            raise ValueError(f"{self.name}: observations of shape {observations}, a vector is needed")
-        if actions is None or actions.ndim != 1 or not np.isfinite([actions, env.action_space.low]).all():
+        observed, actions = env.observation_space, env.action_space
+        if not _is_box(observed) or len(observed.shape) != 1:
+            raise ValueError(f"{self.name}: its observations are {_space(observed)}, a flat Box is supported")
+        if not _is_box(actions) or len(actions.shape) != 1 or not actions.is_bounded():
             raise ValueError(
-                f"{self.name}: actions are {env.action_space}, a bounded Box of one axis is needed"
+                f"{self.name}: its actions are {_space(actions)}, a bounded flat Box is supported"
             )
-        object.__setattr__(self, "obs_size", int(observations[0]))
+        object.__setattr__(self, "obs_size", int(observed.shape[0]))
         object.__setattr__(self, "action_size", int(actions.shape[0]))
-        low, high = (np.asarray(bound, np.float64) for bound in (env.action_space.low, actions))
+        low, high = (np.asarray(bound, np.float64) for bound in (actions.low, actions.high))
         object.__setattr__(self, "_centre", (low + high) / 2)
         object.__setattr__(self, "_reach", (high - low) / 2)
+        own = getattr(env.spec, "max_episode_steps", None)
+        limit = self.max_steps if self.max_steps is not None or own is not None else UNLIMITED
+        object.__setattr__(self, "_limit", limit)
 
     def __hash__(self) -> int:
         return hash((self.name, self.gym_id, self.max_steps, tuple(sorted(self.options))))
@@ -79,6 +90,15 @@ class HostEnv:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, options=MappingProxyType(state["options"]))
 
+    @property
+    def time_step(self) -> float | None:
+        """Seconds of a step: `dt` of the environment, or what its frames a second say; None if it says neither."""
+        env = self._make()
+        step = getattr(getattr(env, "unwrapped", env), "dt", None)
+        frames = (getattr(env, "metadata", None) or {}).get("render_fps")
+        said = [converted(float, step), *(1.0 / rate for rate in (converted(float, frames),) if rate)]
+        return next((value for value in said if value is not None and 0 < value < math.inf), None)
+
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
         shape = (-1,) + (1,) * (actions.ndim - 1)
@@ -86,7 +106,7 @@ class HostEnv:
 
     def simulate(self) -> "Simulation":
         """A simulation of its own; `reset` comes first."""
-        return Simulation(self._make(), self.max_steps, self.obs_size)
+        return Simulation(self._make(), self._limit, self.obs_size, whole=self.max_steps is None)
 
     def _make(self) -> Any:
         import gymnasium
@@ -95,7 +115,10 @@ class HostEnv:
             # Of Box2D's own wrappers: where warnings are errors, its import would end the process.
             warnings.simplefilter("ignore", DeprecationWarning)
             try:
-                return gymnasium.make(self.gym_id, disable_env_checker=True, **self.options).unwrapped
+                if isinstance(self.gym_id, type):
+                    return self.gym_id(**self.options)
+                made = gymnasium.make(self.gym_id, disable_env_checker=True, **self.options)
+                return made if self.max_steps is None else made.unwrapped
             except (gymnasium.error.Error, ImportError, TypeError, AssertionError) as error:
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
 
@@ -111,8 +134,10 @@ class Simulation:
     the environment gives something else than it declares; the message names its class.
     """
 
-    def __init__(self, env: Any, max_steps: int, obs_size: int):
-        self._env, self._max_steps, self._time, self._shape = env, max_steps, 0, (obs_size,)
+    def __init__(self, env: Any, limit: int | None, obs_size: int, whole: bool):
+        self._env, self._limit, self._time, self._shape = env, limit, 0, (obs_size,)
+        self._whole = whole
+        """Whether its own truncation counts, and its actions are of its own type."""
 
     def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
         """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
@@ -125,10 +150,12 @@ class Simulation:
 
     def step(self, action: Float[np.ndarray, " action"]) -> Outcome:
         """One step with an action between the bounds of the task (`HostEnv.scaled`)."""
+        if self._whole:
+            action = action.astype(self._env.action_space.dtype)
         given = self._env.step(action)
         if len(given) != 5:
             raise self._odd("step", "result", given, "(obs, reward, terminated, truncated, info)")
-        obs, reward, terminated, _, _ = given
+        obs, reward, terminated, truncated, _ = given
         self._time += 1
         # What an environment should give costs a glance, and a conversion where it is of another form.
         if type(obs) is not np.ndarray or obs.shape != self._shape or obs.dtype.kind != "f":
@@ -138,9 +165,11 @@ class Simulation:
             if number is None:
                 raise self._odd("step", "reward", reward, "a real number")
             reward = number
-        if not isinstance(terminated, _TRUTH):
-            raise self._odd("step", "terminated", terminated, "a truth value")
-        return Outcome(obs, reward, bool(terminated), self._time >= self._max_steps)
+        for name, flag in (("terminated", terminated), ("truncated", truncated)):
+            if not isinstance(flag, _TRUTH):
+                raise self._odd("step", name, flag, "a truth value")
+        late = self._limit is not None and self._time >= self._limit
+        return Outcome(obs, reward, bool(terminated), late or (self._whole and bool(truncated)))
 
     def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
         array = np.asarray(obs)
@@ -152,6 +181,18 @@ class Simulation:
         dtype = getattr(given, "dtype", None)
         form = shown(given) if dtype is None else f"{dtype} of shape {np.shape(given)}"
         return UserError(f"{type(self._env).__name__}.{method}: {what} is {form}, declared is {declared}")
+
+
+def _is_box(space: Any) -> bool:
+    import gymnasium
+
+    return isinstance(space, gymnasium.spaces.Box)
+
+
+def _space(space: Any) -> str:
+    """A space as messages name it, in a line."""
+    text = " ".join(str(space).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def lunar_lander(max_steps: int = 1000) -> HostEnv:
@@ -168,3 +209,23 @@ def lunar_lander(max_steps: int = 1000) -> HostEnv:
     0.5 of 0).
     """
     return HostEnv("lunarlander", "LunarLander-v3", max_steps, MappingProxyType({"continuous": True}))
+
+
+def gym_env(env: Any, *, max_steps: Any = None, name: Any = None, **arguments: Any) -> HostEnv:
+    """Any task of gymnasium with a bounded flat Box of actions and a flat Box of observations, simulated on the host.
+
+    Args:
+        env: the id that gymnasium knows it by, or the class of an environment.
+        max_steps: after which an episode is truncated; without it the task keeps its own time limit and truncation.
+        name: under which results are kept; by default `gym:ID`, or the name of the class.
+        **arguments: of `gymnasium.make`, or of the class.
+
+    Raises:
+        ValueError: gymnasium does not know it, a part of it is not installed, or its spaces are others.
+    """
+    if not isinstance(env, str | type) or (isinstance(env, str) and not env):
+        raise UserError(f"env {shown(env)}: give the id of a task of gymnasium, or the class of one")
+    if name is not None and (not isinstance(name, str) or not name):
+        raise UserError(f"name {shown(name)}: give a word")
+    label = name or (env.__name__ if isinstance(env, type) else f"gym:{env}")
+    return HostEnv(label, env, max_steps, MappingProxyType(arguments))

@@ -1,13 +1,12 @@
-"""Names of tasks and of their experts. Plain data that loads no jax: what a name stands for is imported on demand."""
+"""Tasks and their experts by name. Loads no jax: what a name stands for is imported when it is made."""
 
-import importlib
 import inspect
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+import os
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from gpcjax import registry
 from gpcjax.allowed import FINITE, STEPS, checked, holds_numbers, shown, suggestion
+from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 
 if TYPE_CHECKING:
@@ -19,68 +18,17 @@ if TYPE_CHECKING:
     from gpcjax.envs.host import HostEnv
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One task.
-
-    | Field      | Meaning                                                                              |
-    |------------|--------------------------------------------------------------------------------------|
-    | `target`   | "module:attribute" of what makes the environment                                     |
-    | `experts`  | expert name -> ("module:attribute" of a factory, its arguments...); the default first |
-    | `episodes` | default length of a sweep                                                            |
-    | `max_capacity` | default bound of a dictionary's points                                           |
-    | `on_host`  | simulated there: a step takes tens of microseconds, whatever is compiled             |
-    """
-
-    target: str
-    experts: Mapping[str, tuple[str, ...]]
-    episodes: int
-    max_capacity: int = 1024
-    on_host: bool = False
-
-
-ENVS: Mapping[str, Entry] = MappingProxyType(
-    {
-        "cartpole": Entry(
-            target="gpcjax.envs.cartpole:CartPole",
-            experts=MappingProxyType(
-                {
-                    "gpc": ("gpcjax.policies.saved:load_shipped", "cartpole"),
-                    "gpc-2": ("gpcjax.policies.saved:load_shipped", "cartpole-2"),
-                    "gpc-3": ("gpcjax.policies.saved:load_shipped", "cartpole-3"),
-                    "lqr": ("gpcjax.envs.experts:LQR",),
-                    "network": ("gpcjax.policies.saved:load_shipped", "cartpole-network"),
-                    "mpc": ("gpcjax.envs.predictive:CartPoleMPC",),
-                }
-            ),
-            episodes=30,
-        ),
-        "pendulum": Entry(
-            target="gpcjax.envs.pendulum:Pendulum",
-            experts=MappingProxyType(
-                {
-                    "gpc": ("gpcjax.policies.saved:load_shipped", "pendulum"),
-                    "energy": ("gpcjax.envs.experts:EnergySwingUp",),
-                    "network": ("gpcjax.policies.saved:load_shipped", "pendulum-network"),
-                    "mpc": ("gpcjax.envs.predictive:PendulumMPC",),
-                }
-            ),
-            episodes=40,
-        ),
-        "lunarlander": Entry(
-            target="gpcjax.envs.host:lunar_lander",
-            experts=MappingProxyType({"heuristic": ("gpcjax.envs.experts:LanderHeuristic",)}),
-            episodes=200,
-            max_capacity=4096,
-            on_host=True,
-        ),
-    }
-)
+def task(env_name: Any) -> TaskSpec:
+    """The description of a task. Raises UserError for an unknown one."""
+    return registry.find("task", env_name)
 
 
 def env_names() -> tuple[str, ...]:
-    """The names of the tasks that `make_env` knows."""
-    return tuple(ENVS)
+    """The names of the tasks that `make_env` knows: built in, then those that installed packages register.
+
+    Besides, a task may be given as `module:NAME`, `gym:ID` or `brax:NAME`.
+    """
+    return registry.names("task")
 
 
 def expert_names(env_name: str) -> tuple[str, ...]:
@@ -89,30 +37,18 @@ def expert_names(env_name: str) -> tuple[str, ...]:
     Raises:
         ValueError: an unknown task.
     """
-    return tuple(_entry(env_name).experts)
+    return tuple(task(env_name).experts)
 
 
 def shipped(env_name: str) -> dict[str, str]:
     """The experts of a task that are shipped policies: name -> folder. Raises ValueError for an unknown task."""
-    experts = _entry(env_name).experts.items()
+    made = {name: entry for name, entry in task(env_name).experts.items() if isinstance(entry, tuple)}
     return {
-        name: path for name, (target, *rest) in experts if target.endswith(":load_shipped") for path in rest
+        name: path
+        for name, (target, *rest) in made.items()
+        if isinstance(target, str) and target.endswith(":load_shipped")
+        for path in rest
     }
-
-
-def default_episodes(env_name: str) -> int:
-    """How many episodes a sweep of this task runs. Raises ValueError for an unknown task."""
-    return _entry(env_name).episodes
-
-
-def default_max_capacity(env_name: str) -> int:
-    """Points that a dictionary may hold in a sweep of this task. Raises ValueError for an unknown task."""
-    return _entry(env_name).max_capacity
-
-
-def on_host(env_name: str) -> bool:
-    """Whether a task is simulated on the host. Raises ValueError for an unknown task."""
-    return _entry(env_name).on_host
 
 
 @overload
@@ -124,49 +60,79 @@ def make_env(env_name: str, /, **parameters: Any) -> "Env": ...
 def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     """Build a task by name, with other physical parameters if given (`make_env("cartpole", pole_mass=0.2)`).
 
-    "lunarlander" is simulated on the host: a `gpcjax.envs.host.HostEnv`.
+    A name is one of `env_names()`, `module:NAME` for a task of one's own, `gym:ID` (gymnasium), or `brax:NAME`.
+    "lunarlander" and the tasks of gymnasium are simulated on the host: a `gpcjax.envs.host.HostEnv`.
 
     Parameters are numbers (numpy's too), or what jax traces; `max_steps` is a whole number.
 
     Raises:
         ValueError: an unknown task or parameter, or a value that the task refuses.
     """
-    make: Any = _resolve(_entry(env_name).target)
-    allowed = tuple(inspect.signature(make).parameters)
-    for name in parameters:
-        if name not in allowed:
-            near = suggestion(name, allowed)
-            raise UserError(f"unknown parameter {name!r} of {env_name}{near}; allowed: {', '.join(allowed)}")
+    spec = task(env_name)
+    make: Any = registry.resolve(spec.make)
+    if parameters:
+        allowed = tuple(inspect.signature(make).parameters)
+        for name in parameters:
+            if name not in allowed:
+                near = suggestion(name, allowed)
+                raise UserError(
+                    f"unknown parameter {name!r} of {env_name}{near}; allowed: {', '.join(allowed)}"
+                )
     return make(**{name: _parameter(env_name, name, value) for name, value in parameters.items()})
+
+
+def check_expert(env_name: str, expert_name: Any, source: str) -> None:
+    """Refuses what cannot be an expert of a task, as far as that is known before it is made.
+
+    Raises:
+        UserError: no name of an expert of the task, no folder, no `module:function`. `source` begins the message.
+    """
+    experts = task(env_name).experts
+    if isinstance(expert_name, str) and expert_name not in experts and is_folder(expert_name):
+        if not os.path.exists(os.path.join(os.path.expanduser(expert_name), "card.json")):
+            raise UserError(
+                f"{source} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
+            )
+        return
+    if isinstance(expert_name, str) and (expert_name in experts or ":" in expert_name):
+        return
+    others = [*experts, "the folder of a saved policy", "module:function"]
+    raise UserError(
+        f"{source} {shown(expert_name)}: give {', '.join(others[:-1])} or {others[-1]} for {env_name}"
+        f"{suggestion(expert_name, experts)}"
+    )
 
 
 def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
     """Build an expert by name, for the task with its default parameters: obs (obs_size,) -> action (action_size,).
 
+    Args:
+        env_name: of the task.
+        expert_name: one of `expert_names(env_name)`, the folder of a saved policy, or `module:function` of one's own:
+            a function of the observation, or a class or function without arguments that makes one.
+
     Raises:
-        ValueError: an unknown task, or an expert that the task does not have.
+        ValueError: an unknown task, or what is no expert of it.
     """
-    experts = _entry(env_name).experts
-    if not isinstance(expert_name, str) or expert_name not in experts:
-        raise UserError(f"unknown oracle {shown(expert_name)} for {env_name}; allowed: {', '.join(experts)}")
-    target, *arguments = experts[expert_name]
-    return _resolve(target)(*arguments)
+    check_expert(env_name, expert_name, "oracle")
+    entry = task(env_name).experts.get(expert_name, expert_name)
+    if not isinstance(entry, tuple):
+        from gpcjax.envs import foreign
+
+        return foreign.expert(env_name, entry)
+    target, *arguments = entry
+    made = registry.resolve(target)
+    return made(*arguments)
 
 
-def _entry(env_name: str) -> Entry:
-    if not isinstance(env_name, str) or env_name not in ENVS:
-        raise UserError(f"unknown environment {shown(env_name)}; allowed: {', '.join(ENVS)}")
-    return ENVS[env_name]
+def is_folder(name: str) -> bool:
+    """Whether a name of an expert is that of a folder. A name that no file system takes is none."""
+    return os.path.isdir(os.path.expanduser(name))
 
 
 def _parameter(env_name: str, name: str, value: Any) -> Any:
     """A parameter of a task, if it is a number; what is beyond the task's own bounds it refuses itself."""
-    where = f"{env_name}: {name}"
+    source = f"{env_name}: {name}"
     if name == "max_steps":
-        return checked(where, value, int, STEPS)
-    return value if holds_numbers(value) else checked(where, value, float, FINITE)
-
-
-def _resolve(target: str) -> Any:
-    module, attribute = target.split(":")
-    return getattr(importlib.import_module(module), attribute)
+        return checked(source, value, int, STEPS)
+    return value if holds_numbers(value) else checked(source, value, float, FINITE)

@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.gp import factor
+from gpcjax.gp import cholesky
 from gpcjax.gp.kernels import Kernel, correlation, sum_of_squares
 
 BOUNDS = ((1e-5, 1e5), (1e-5, 1e5), (1e-5, 1e5))
@@ -47,8 +47,8 @@ def log_marginal_likelihood(
     apart = squared > 0
     nearby = correlation(jnp.where(apart, squared, 1.0) * kernel.inverse_length**2, kernel.smoothness)
     gram = kernel.variance * jnp.where(apart, nearby, 1.0)
-    lower = factor.cholesky(gram, jnp.ones(targets.shape, bool), noise)
-    whitened = factor.solve(lower, targets)
+    lower = cholesky.factor(gram, jnp.ones(targets.shape, bool), noise)
+    whitened = cholesky.solve(lower, targets)
     log_determinant = 2.0 * jnp.log(jnp.diag(lower)).sum()
     return -0.5 * ((whitened * whitened).sum() + log_determinant + targets.size * jnp.log(2.0 * jnp.pi))
 

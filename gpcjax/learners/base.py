@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 import enum
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.moment import Moment
 from gpcjax.policies.base import (
     ByIdentity,
     Controller,
@@ -79,6 +80,12 @@ class Info(eqx.Module):
     status: Int[Array, ""]
     """A `Status`."""
 
+    @classmethod
+    def of(cls, rate: Float[Array, " action"]) -> "Info":
+        """Of a learner without dictionaries: how far each action dimension was moved, (action_size,)."""
+        none, unknown = jnp.zeros(rate.shape, bool), jnp.full(rate.shape, jnp.nan)
+        return cls(rate, unknown, unknown, none, none, none, jnp.asarray(Status.OK, jnp.int32))
+
 
 class Learner(ByIdentity):
     """Learns a policy from advice.
@@ -86,17 +93,49 @@ class Learner(ByIdentity):
     Methods are pure, compile themselves when they are called directly, and may be used inside jit, vmap and scan.
     Numbers are leaves, so that a grid over hyperparameters is a vmap; sizes and names are static.
 
-    Every leaf of a state has the action dimensions as its first axis.
-
-    Subclasses implement the underscored methods for checked float64 arrays.
+    A learner of one's own writes `init`, `learn`, and `propose` (or `controller`, where something can be computed once
+    for many steps); all else has a default. Its fields that are numbers become settings of a sweep by themselves, those
+    that are whole numbers are compiled in. A state is a pytree of arrays whose shapes stay what `init` makes them.
     """
 
-    obs_size: eqx.AbstractVar[int]
-    action_size: eqx.AbstractVar[int]
+    obs_size: int = eqx.field(static=True, kw_only=True)
+    action_size: int = eqx.field(static=True, kw_only=True)
 
-    def init(self) -> State:
-        """The idle policy: its action is 0 everywhere."""
-        return self._init()
+    joint: ClassVar[bool] = True
+    """One call of `learn` takes all action dimensions. Otherwise `_correct` takes them one after the other, and every
+    leaf of a state has them as its first axis."""
+
+    @abc.abstractmethod
+    def init(self, key: PRNGKeyArray | None = None) -> State:
+        """The state before the first correction. `key` is for what is drawn; without one, that is drawn from seed 0."""
+
+    def propose(self, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+        """The action at `obs`, before it is clipped: what `controller` does if it is not written."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has neither propose nor controller: write one of them"
+        )
+
+    def learn(
+        self, state: State, moment: Moment, advice: Float[Array, " action"], key: PRNGKeyArray
+    ) -> tuple[State, Info]:
+        """What `state` becomes with one correction, and what was done (`Info.of`).
+
+        `advice` has -1, 0 or 1 for each action dimension, one of them other than 0; parts of these where credit for
+        late advice goes to several steps. Nothing that is not finite needs to be kept out: such a state is dropped, and
+        the correction has `Status.NON_FINITE`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no learn: write it")
+
+    idle_every: ClassVar[int] = 0
+    """Steps of an episode between two calls of `idle`, which comes after a correction; 0 is never. Static."""
+
+    def idle(self, state: State, key: PRNGKeyArray) -> State:
+        """What `state` becomes without advice, for learners that go on learning from what they have kept."""
+        return state
+
+    def measure(self, state: State) -> dict[str, Float[Array, ""]]:
+        """Numbers by name that become columns of an episode's row, as they are at its end."""
+        return {}
 
     def act(self, state: State, obs: Vector) -> Float[Array, " action"]:
         """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
@@ -146,64 +185,110 @@ class Learner(ByIdentity):
             return state, dataclasses.replace(info, status=status)
         return _correct(self, state, obs, action, advice)
 
-    @abc.abstractmethod
     def grow(self, state: State) -> State:
         """The same state with twice the room, for hosts that see `Info.full`."""
+        return state
 
-    @abc.abstractmethod
-    def has_room(self, state: State) -> Bool[Array, ""]:
-        """Whether one more correction surely fits, whatever it is."""
+    def has_room(self, state: State, corrections: int = 1) -> Bool[Array, ""]:
+        """Whether so many more corrections of an action dimension surely fit, whatever they are."""
+        return jnp.ones((), bool)
 
-    @abc.abstractmethod
     def resize(self, state: State, policy_capacity: int, human_capacity: int) -> State:
         """The same state with room for these many points in each policy and each human model."""
+        return state
 
     @property
-    @abc.abstractmethod
+    def wants_room(self) -> bool:
+        """Whether a host should give it more room (`grow`) rather than let it meet a full dictionary."""
+        return True
+
+    @property
     def goes_on_when_full(self) -> bool:
         """Whether a run goes on after a correction that was refused for want of room (`Status.FULL`)."""
+        return False
 
-    @abc.abstractmethod
     def largest_sigma(self) -> Float[Array, ""]:
-        """An upper bound of `uncertainty`, for teachers that wait for it; 0 for COACH."""
+        """An upper bound of `uncertainty`, for teachers that wait for it; 0 for learners that know none."""
+        return jnp.zeros(())
 
-    @abc.abstractmethod
     def controller(self, state: State) -> Controller:
         """The policy of `state`, ready for many steps."""
+        return Proposing(learner=self, state=state)
 
-    @abc.abstractmethod
     def points(self, state: State) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """Points held by the policies and by the human models, over all action dimensions (0, 0 for COACH)."""
+        """Points held by the policies and by the human models, over all action dimensions; 0, 0 without any."""
+        return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
 
-    @abc.abstractmethod
-    def _init(self) -> State: ...
-
-    @abc.abstractmethod
     def _uncertainty(
         self, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
-    ) -> Float[Array, " action"]: ...
+    ) -> Float[Array, " action"]:
+        return jnp.full(self.action_size, jnp.nan)
 
-    @abc.abstractmethod
+    def _learn(
+        self, state: State, moment: Moment, advice: Float[Array, " action"], key: PRNGKeyArray
+    ) -> tuple[State, Info]:
+        """`learn`, if there is advice, and nothing that is no number gets into the state."""
+        new, info = self.learn(state, moment, advice, key)
+        given = (advice != 0).any()
+        sound = [
+            jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((new, info.rate, moment.obs, moment.action))
+        ]
+        finite = jnp.stack(sound).all()
+        kept = jax.tree.map(lambda now, old: jnp.where(given & finite, now, old), new, state)
+        status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status)
+        learned = (advice != 0) & finite & (status == Status.OK)
+        return kept, dataclasses.replace(info, rate=jnp.where(learned, info.rate, 0.0), status=status)
+
+    def _idle(self, state: State, key: PRNGKeyArray) -> tuple[State, Int[Array, ""]]:
+        """`idle`, if nothing that is no number comes of it, and the status of that."""
+        new = self.idle(state, key)
+        leaves = [leaf for leaf in jax.tree.leaves(new) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all() if leaves else jnp.array(True)
+        kept = jax.tree.map(lambda now, old: jnp.where(finite, now, old), new, state)
+        return kept, jnp.where(finite, Status.OK, Status.NON_FINITE).astype(jnp.int32)
+
     def _correct(
         self,
         states: State,
-        where: tuple[Int[Array, ""], ...],
+        place: tuple[Int[Array, ""], ...],
         obs: Float[Array, " obs"],
         action: Float[Array, ""],
         advice: Float[Array, ""],
     ) -> tuple[Change, Info]:
         """What a correction of one action dimension changes, for `_write`.
 
-        `where` is its place in `states`: the index of the dimension, after that of the lane if there are several. The
+        `place` is its place in `states`: the index of the dimension, after that of the lane if there are several. The
         dimensions learn for themselves: what is untouched by advice costs nothing.
         """
+        raise NotImplementedError
 
-    @abc.abstractmethod
-    def _write(self, states: State, where: tuple[Int[Array, ""], ...], change: Change) -> State:
-        """The states with a change; `where` is its place, the indices of their first axes."""
+    def _write(self, states: State, place: tuple[Int[Array, ""], ...], change: Change) -> State:
+        """The states with a change; `place` is its place, the indices of their first axes."""
+        raise NotImplementedError
 
     def _vector(self, name: str, value: Vector, size: int) -> Any:
         return vector(name, value, size, "this learner")
+
+
+class Proposing(Controller):
+    """The policy of a learner that has nothing to compute beforehand: what it proposes, lane by lane."""
+
+    learner: Learner
+    state: State
+
+    @property
+    def obs_size(self) -> int:
+        return self.learner.obs_size
+
+    @property
+    def action_size(self) -> int:
+        return self.learner.action_size
+
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        propose = lambda learner, state, obs: learner.propose(state, obs)  # noqa: E731
+        for _ in range(obs.ndim - 1):
+            propose = jax.vmap(propose, in_axes=-1, out_axes=-1)
+        return propose(self.learner, self.state, obs)
 
 
 @eqx.filter_jit
@@ -230,6 +315,9 @@ def _correct(
 ) -> tuple[State, Info]:
     # One dimension after the other, as in the engine: each is a correction of its own.
     _check_precision(learner, state)
+    if learner.joint:
+        here = Moment(obs=obs, action=action, episode=jnp.int32(0), step=jnp.int32(0))
+        return learner._learn(state, here, advice, jax.random.key(0))
 
     def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
         dimension, action, advice = given
@@ -242,7 +330,7 @@ def _correct(
 
 def _check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
-    expected = jax.eval_shape(lambda: learner.init())
+    expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
     alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
         getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
         for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
@@ -256,7 +344,7 @@ def _check_precision(learner: Learner, state: State) -> None:
     _check_state(learner, state)
     given, kept = (
         {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
-        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init()))
+        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(jax.random.key(0))))
     )
     if given - kept:
         raise ValueError(

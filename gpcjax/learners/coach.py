@@ -9,10 +9,12 @@
 | c_c | `constant` |
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.grid import Grid, GridController
@@ -39,49 +41,23 @@ class COACH(Learner):
     beta: Float[Array, " action"]
     magnitude: Float[Array, " action"]
     constant: Float[Array, " action"]
-    obs_size: int = eqx.field(static=True)
-    action_size: int = eqx.field(static=True)
 
-    def grow(self, state: COACHState) -> COACHState:
-        """COACH has no dictionary: the state as it is."""
-        return state
+    joint: ClassVar[bool] = False
 
     def controller(self, state: COACHState) -> GridController:
         """The policy of `state`."""
         return GridController(weights=state.policy, grid=self.grid)
 
-    def points(self, state: COACHState) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """No dictionaries: zero points."""
-        return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
-
-    def has_room(self, state: COACHState) -> Bool[Array, ""]:
-        """Always."""
-        return jnp.ones((), bool)
-
-    def resize(self, state: COACHState, policy_capacity: int, human_capacity: int) -> COACHState:
-        """COACH has no dictionary: the state as it is."""
-        return state
-
-    def largest_sigma(self) -> Float[Array, ""]:
-        """COACH knows no uncertainty."""
-        return jnp.zeros(())
-
-    @property
-    def goes_on_when_full(self) -> bool:
-        return False
-
-    def _init(self) -> COACHState:
+    def init(self, key: PRNGKeyArray | None = None) -> COACHState:
+        """The idle policy: its action is 0 everywhere. Nothing is drawn."""
         shape = (self.action_size, *self.grid.counts)
         return COACHState(policy=jnp.zeros(shape), human=jnp.zeros(shape))
 
-    def _uncertainty(self, state, obs, action):
-        return jnp.full(self.action_size, jnp.nan)
+    def _write(self, states, place, change):
+        return jax.tree.map(lambda leaf, value: leaf.at[place].set(value), states, change)
 
-    def _write(self, states, where, change):
-        return jax.tree.map(lambda leaf, value: leaf.at[where].set(value), states, change)
-
-    def _correct(self, states, where, obs, action, advice):
-        state, dimension = jax.tree.map(lambda leaf: leaf[where], states), where[-1]
+    def _correct(self, states, place, obs, action, advice):
+        state, dimension = jax.tree.map(lambda leaf: leaf[place], states), place[-1]
         beta, magnitude, constant = (
             jnp.take(values, dimension) for values in (self.beta, self.magnitude, self.constant)
         )
@@ -91,7 +67,8 @@ class COACH(Learner):
         estimate = (state.human * features).sum()  # line 7, before the update of psi
         alpha = jnp.abs(estimate) + constant  # line 10
         rate = alpha * magnitude * (features * features).sum()
-        human_step = beta * (advice - estimate)  # line 8
+        # A part of an advice, where credit goes to several steps, is a step of that part towards all of it.
+        human_step = beta * jnp.abs(advice) * (jnp.sign(advice) - estimate)  # line 8
         policy_step = alpha * advice * magnitude  # line 11
         policy, human = state.policy + policy_step * features, state.human + human_step * features
         finite = jnp.isfinite(rate) & jnp.isfinite(action)
@@ -102,7 +79,7 @@ class COACH(Learner):
         )
         none = jnp.zeros((), bool)
         info = Info(
-            rate=jnp.where(learns, rate, 0.0),
+            rate=jnp.where(learns, rate * jnp.abs(advice), 0.0),
             sigma_policy=jnp.array(jnp.nan),
             sigma_human=jnp.array(jnp.nan),
             appended=none,

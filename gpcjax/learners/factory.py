@@ -20,15 +20,24 @@ from gpcjax.allowed import (
     shown,
     suggestion,
 )
+from gpcjax.describe import LearnerSpec, TaskSpec
 from gpcjax.errors import UserError
+from gpcjax.gp.appending import Appending
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import GaussianProcess
+from gpcjax.gp.process import GaussianProcess
+from gpcjax.gp.renormalised import Renormalised
+from gpcjax.gp.replacing import Replacing
 from gpcjax.learners.base import Learner
 from gpcjax.learners.coach import COACH
+from gpcjax.learners.descriptions import CAPACITY, ON_FULL
+from gpcjax.learners.descriptions import COACH as COACH_SPEC
+from gpcjax.learners.descriptions import GPC as GPC_SPEC
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.hyperparameters import CAPACITY, HYPERPARAMETERS, ON_FULL
-from gpcjax.learners.presets import PRESETS, SIZES
 from gpcjax.policies.grid import Grid
+from gpcjax.registry import built_in, find, resolve
+
+ALLOWED = {setting.name: setting.allowed for spec in (GPC_SPEC, COACH_SPEC) for setting in spec.settings}
+"""Values of the built-in learners' settings."""
 
 DEFAULT_CAPACITY = 512
 DEFAULT_NOISE = 1e-7
@@ -46,29 +55,27 @@ def make_learner(
     """A learner with the hyperparameters of the thesis for `env`, or for a task of one's own.
 
     Args:
-        algo: "gpc", "gpc-ns" or "coach".
-        env: "cartpole", "pendulum" or "lunarlander": sizes and values of Tables 5.1 to 5.3 and A.1. Without it,
-            `obs_size` and `action_size` are needed, and the other values default to the lander's (Table 5.3), unscaled.
+        algo: "gpc", "gpc-ns", "coach" or "d-coach", one that an installed package registers, or `module:NAME`.
+        env: a task's name, as `make_env` takes it: its sizes, and its presets (Tables 5.1 to 5.3 and A.1 for
+            "cartpole", "pendulum" and "lunarlander"). Without it, `obs_size` and `action_size` are needed. Where there
+            is no preset, GPC and GPC-NS have the lander's kernels (Table 5.3), unscaled.
         policy, human: for GPC and GPC-NS, kernel values by name: `{"variance": c, "length_scale": l, "nu": nu}`
             (`nu` for the policy only).
         **options: `obs_size`, `action_size`, and
             for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
             `scaling` (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`,
             `sparsify`, `on_full`;
-            for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`.
+            for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`;
+            for D-COACH `learning_rate`, `magnitude`, `buffer_size`, `batch_size`, `replay_every`, `width`, `scaling`;
+            for a learner of one's own, its settings.
 
-    All values are bounded as on the command line (`gpcjax.learners.hyperparameters`); numpy's numbers are numbers.
+    All values are bounded as on the command line (`gpcjax.learners.descriptions`); numpy's numbers are numbers.
 
     Raises:
         ValueError: an unknown name, a missing size, or a value out of its range; the message names it.
     """
-    if not isinstance(algo, str) or algo not in PRESETS:
-        near = suggestion(algo, PRESETS)
-        raise UserError(f"algo {shown(algo)} is not known{near}: choose one of {', '.join(PRESETS)}")
-    if env is not None and (not isinstance(env, str) or env not in SIZES):
-        raise UserError(
-            f"env {shown(env)} has no table: choose {', '.join(SIZES)}, or give obs_size and action_size"
-        )
+    spec: LearnerSpec = find("learner", algo)
+    task: TaskSpec | None = None if env is None else find("task", env)
     given = {**_kernel_options("policy", policy), **_kernel_options("human", human)}
     twice = sorted(given.keys() & options.keys())
     if twice:
@@ -76,31 +83,35 @@ def make_learner(
     given |= options
     if given.get("static_rate") is not None and given.get("constant_rate") is not None:
         raise UserError("constant_rate: beside static_rate it changes nothing, give one of the two")
-    values: dict[str, Any] = {}
-    if env is not None:
-        values |= {**SIZES[env], **PRESETS[algo][env]}
-    elif algo != "coach":
-        values |= {name: value for name, value in PRESETS[algo]["lunarlander"].items() if name != "scaling"}
+    values = dict(spec.defaults)
+    if task is not None:
+        values |= {**sizes_of(task), **_scaling(spec, task), **task.presets.get(spec.name, {})}
     values |= given
     missing = [name for name in ("obs_size", "action_size") if name not in values]
     if missing:
-        raise UserError(f"{' and '.join(missing)} missing: give sizes, or one of the envs {', '.join(SIZES)}")
+        raise UserError(
+            f"{' and '.join(missing)} missing: give sizes, or a task's name, one of {', '.join(built_in('task'))}"
+        )
+    names = {"obs_size", "action_size", *(each.name for each in spec.settings), *spec.options}
+    values = _known(values, names)
     for name in ("obs_size", "action_size"):
         values[name] = checked(name, values[name], int, COUNT)
-    return (
-        _coach(**_known(values, _COACH))
-        if algo == "coach"
-        else _gpc(algo == "gpc-ns", **_known(values, _GPC))
-    )
+    return resolve(spec.make)(**values)
 
 
-_SHARED = {"obs_size", "action_size"}
-_COACH = _SHARED | {"lower", "upper", "counts", "beta", "magnitude", "coach_constant"}
-_GPC = _SHARED | {
-    *("policy_variance", "policy_length_scale", "policy_nu", "human_variance", "human_length_scale"),
-    *("constant_rate", "static_rate", "noise", "scaling", "sparsify", "on_full"),
-    *("capacity", "policy_capacity", "human_capacity"),
-}
+def sizes_of(task: TaskSpec) -> dict[str, int]:
+    """Those of a task's observations and actions, by name."""
+    if task.sizes is None:
+        env = resolve(task.make)()
+        return {"obs_size": env.obs_size, "action_size": env.action_size}
+    return dict(zip(("obs_size", "action_size"), task.sizes, strict=True))
+
+
+def _scaling(spec: LearnerSpec, task: TaskSpec) -> dict[str, Any]:
+    """W of a learner that scales its observations, for a task that has no preset and says how large they are."""
+    if "scaling" not in spec.options or task.obs_scale is None or spec.name in task.presets:
+        return {}
+    return {"scaling": tuple(1.0 / scale for scale in task.obs_scale)}
 
 
 def _known(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
@@ -122,6 +133,16 @@ def _kernel_options(process: str, kernel: Any) -> dict[str, Any]:
             f"{process} {shown(kernel)}: give values by name, such as {{'variance': 0.01, 'length_scale': 0.2}}"
         )
     return {f"{process}_{name}": value for name, value in kernel.items()}
+
+
+def make_gpc(**values: Any) -> GPC:
+    """GPC: see `make_learner`."""
+    return _gpc(False, **values)
+
+
+def make_gpc_ns(**values: Any) -> GPC:
+    """GPC-NS: see `make_learner`."""
+    return _gpc(True, **values)
 
 
 def _gpc(
@@ -149,28 +170,21 @@ def _gpc(
         checked(name, capacity if value is None else value, int, CAPACITY)
         for name, value in (("policy_capacity", policy_capacity), ("human_capacity", human_capacity))
     )
-    policy_nu = checked("policy_nu", policy_nu, float, HYPERPARAMETERS["policy_nu"].allowed)
+    policy_nu = checked("policy_nu", policy_nu, float, ALLOWED["policy_nu"])
     noise = _number("noise", noise)
-    processes = {
-        name: GaussianProcess(
-            Kernel(
-                variance=_number(f"{name}_variance", variance),
-                length_scale=_number(f"{name}_length_scale", length_scale),
-                smoothness=smoothness,
-            ),
-            noise=noise,
-            normalise=normalise,
-            keeps_weights=name == "policy",
-            replaces=name == "policy" or on_full == "replace-nearest",
-        )
-        for name, variance, length_scale, smoothness in (
-            ("policy", policy_variance, policy_length_scale, policy_nu),
-            ("human", human_variance, human_length_scale, SQUARED_EXPONENTIAL),
-        )
-    }
+    policy = Kernel(
+        variance=_number("policy_variance", policy_variance),
+        length_scale=_number("policy_length_scale", policy_length_scale),
+        smoothness=policy_nu,
+    )
+    human = Kernel(
+        variance=_number("human_variance", human_variance),
+        length_scale=_number("human_length_scale", human_length_scale),
+        smoothness=SQUARED_EXPONENTIAL,
+    )
     return GPC(
-        policy=processes["policy"],
-        human=processes["human"],
+        policy=Renormalised(policy, noise) if normalise else Replacing(policy, noise),
+        human=_human_model(normalise, on_full, human, noise),
         scaling=_vector("scaling", 1.0 if scaling is None else scaling, obs_size),
         constant_rate=_number("constant_rate", constant_rate),
         static_rate=None if static_rate is None else _number("static_rate", static_rate),
@@ -183,7 +197,16 @@ def _gpc(
     )
 
 
-def _coach(
+def _human_model(normalise: bool, on_full: str, kernel: Kernel, noise: Array) -> GaussianProcess:
+    """H, of which only the uncertainty is wanted; it replaces points only where a full one is to."""
+    if normalise:
+        return Renormalised(kernel, noise, keeps_weights=False)
+    if on_full == "replace-nearest":
+        return Replacing(kernel, noise, keeps_weights=False)
+    return Appending(kernel, noise)
+
+
+def make_coach(
     *,
     obs_size: int,
     action_size: int,
@@ -194,6 +217,7 @@ def _coach(
     magnitude: Any = 5.0,
     coach_constant: Any = 1.8,
 ) -> COACH:
+    """COACH: see `make_learner`. It has no default grid, as it must know where the observations lie."""
     bounds = ("lower", lower), ("upper", upper)
     if lower is None or upper is None or counts is None:
         raise UserError(
@@ -229,11 +253,11 @@ _LARGEST_GRID = 2**26
 
 def _number(name: str, value: Any) -> Array:
     """A hyperparameter of the table."""
-    return jnp.asarray(checked(name, value, float, HYPERPARAMETERS[name].allowed), float)
+    return jnp.asarray(checked(name, value, float, ALLOWED[name]), float)
 
 
 def _vector(name: str, value: Any, size: int) -> Array:
     """One hyperparameter for each of `size` dimensions; what is in no table is any finite number."""
-    allowed = HYPERPARAMETERS[name].allowed if name in HYPERPARAMETERS else FINITE
+    allowed = ALLOWED.get(name, FINITE)
     assert isinstance(allowed, Numbers)
     return jnp.asarray(checked_series(name, value, size, allowed), float)

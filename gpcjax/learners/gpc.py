@@ -11,24 +11,17 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
-from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from gpcjax.gp.regression import (
-    Appended,
-    GaussianProcess,
-    Placed,
-    Places,
-    Posterior,
-    Renewed,
-    small,
-    write,
-)
+from gpcjax.gp.posterior import Posterior, small
+from gpcjax.gp.process import Change, GaussianProcess, Reading
+from gpcjax.gp.tiles import Places
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.policies.kernel import KernelController
 
@@ -46,15 +39,45 @@ class GPCChange(eqx.Module):
     Vectors for GPC, however large the factors are; with normalisation all is new.
     """
 
-    policy: Renewed | Placed
-    human: Renewed | Placed | Appended
+    policy: Change
+    human: Change
+
+
+class _Consulted(eqx.Module):
+    """What one model has to say of an input, before it learns from it."""
+
+    posterior: Posterior
+    """The data, without the matrix."""
+    nearest: Int[Array, ""]
+    """Row of the point of largest covariance with the input."""
+    reading: Reading
+
+    @property
+    def sigma(self) -> Float[Array, ""]:
+        """Predictive standard deviation."""
+        return self.reading.deviation
+
+    @property
+    def full(self) -> Bool[Array, ""]:
+        return self.posterior.count >= self.posterior.capacity
+
+
+def _consult(
+    process: GaussianProcess, posteriors: Posterior, place: Places, point: Float[Array, " d"]
+) -> _Consulted:
+    posterior = small(posteriors, place)
+    covariances = process.covariances(posterior, point)
+    nearest = covariances.argmax()
+    reading = process.read(posteriors, place, covariances, nearest)
+    return _Consulted(posterior, nearest, reading)
 
 
 class GPC(Learner):
     """GPC, or GPC-NS where both processes normalise.
 
     Fields:
-        policy, human: the Gaussian processes P (Matern) and H (squared exponential).
+        policy, human: the Gaussian processes P (Matern) and H (squared exponential). P keeps weights and, to
+            sparsify, replaces points; H replaces them where `on_full` is "replace-nearest".
         scaling: (obs_size,), w: what observations are multiplied by; not used by GPC-NS.
         constant_rate: c_r, added to the adaptive rate (3.5).
         static_rate: r_c, or None: if given it is the whole rate, as in the ablation of Table 5.4.
@@ -68,12 +91,12 @@ class GPC(Learner):
     scaling: Float[Array, " obs"]
     constant_rate: Float[Array, ""]
     static_rate: Float[Array, ""] | None
-    obs_size: int = eqx.field(static=True)
-    action_size: int = eqx.field(static=True)
     sparsify: bool = eqx.field(static=True)
     on_full: str = eqx.field(static=True)
     policy_capacity: int = eqx.field(static=True)
     human_capacity: int = eqx.field(static=True)
+
+    joint: ClassVar[bool] = False
 
     def grow(self, state: GPCState) -> GPCState:
         """The same state with twice the room."""
@@ -101,20 +124,25 @@ class GPC(Learner):
         """Points of P and of H over all action dimensions."""
         return state.policy.count.sum(), state.human.count.sum()
 
-    def has_room(self, state: GPCState) -> Bool[Array, ""]:
-        """Whether one more correction surely fits into every dictionary."""
-        policy = (state.policy.count < state.policy.points.shape[1]).all()
-        return policy & (state.human.count < state.human.points.shape[1]).all()
+    def has_room(self, state: GPCState, corrections: int = 1) -> Bool[Array, ""]:
+        """Whether so many more corrections surely fit into every dictionary."""
+        policy = (state.policy.count + (corrections - 1) < state.policy.points.shape[1]).all()
+        return policy & (state.human.count + (corrections - 1) < state.human.points.shape[1]).all()
 
     def largest_sigma(self) -> Float[Array, ""]:
         """The human model's prior deviation: data only lower it."""
-        return jnp.sqrt(self.human.kernel.variance + self.human.noise)
+        return jnp.sqrt(self.human.prior)
+
+    @property
+    def wants_room(self) -> bool:
+        return self.on_full == "error"
 
     @property
     def goes_on_when_full(self) -> bool:
         return self.on_full == "drop"
 
-    def _init(self) -> GPCState:
+    def init(self, key: PRNGKeyArray | None = None) -> GPCState:
+        """The idle policy: its action is 0 everywhere. Nothing is drawn."""
         unscaled = jnp.ones(1)  # the action is not scaled in GPC
         policy = self.policy.init(self.policy_capacity, self.scaling)
         human = self.human.init(self.human_capacity, jnp.concatenate([self.scaling, unscaled]))
@@ -126,79 +154,62 @@ class GPC(Learner):
             human, action = each
             return self.human.uncertainty(human, _pair(obs, action))
 
-        # One by one: a batch would be taken apart again where the model normalises (`factor.one_at_a_time`).
+        # One by one: a batch would be taken apart again where the model normalises (`cholesky.one_at_a_time`).
         return lax.map(one, (state.human, action))
 
-    def _write(self, states, where, change):
+    def _write(self, states, place, change):
         return GPCState(
-            policy=write(states.policy, where, change.policy),
-            human=write(states.human, where, change.human),
+            policy=change.policy.write(states.policy, place),
+            human=change.human.write(states.human, place),
         )
 
-    def _human(
-        self, humans: Posterior, where: Places, pair: Float[Array, " pair"], advice: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Callable[[Bool[Array, ""], Bool[Array, ""]], Renewed | Placed | Appended]]:
-        """sigma_h of a pair, and what it changes: a function of whether it is learned, and of whether H is full."""
-        if self.human.lower:
-            sigma, appended = self.human.append(humans, where, pair, advice)
-            return sigma, lambda learns, _: appended.only(learns)
-        covariances = self.human.covariances(small(humans, where), pair)
-        nearest = covariances.argmax()
-        reading = self.human.read(humans, where, covariances, nearest)
-
-        def learn(learns: Bool[Array, ""], full: Bool[Array, ""]) -> Renewed | Placed:
-            index = humans.count[where]
-            if self.on_full == "replace-nearest":
-                index = jnp.where(full, nearest, index)
-            return self.human.put(humans, where, reading, pair, advice, index, learns)
-
-        return self.human.deviation(reading.explained), learn
-
-    def _correct(self, states, where, obs, action, advice):
+    def _correct(self, states, place, obs, action, advice):
         """Alg. 2, lines 7 to 14."""
-        policy = small(states.policy, where)
-        covariances = self.policy.covariances(policy, obs)
-        nearest = covariances.argmax()
-        reading = self.policy.read(states.policy, where, covariances, nearest)
-        sigma_policy = self.policy.deviation(reading.explained)
-        sigma_human, learn_human = self._human(states.human, where, _pair(obs, action), advice)
-        adaptive = sigma_policy + sigma_human + self.constant_rate  # (3.5)
+        pair = _pair(obs, action)
+        policy = _consult(self.policy, states.policy, place, obs)
+        human = _consult(self.human, states.human, place, pair)
+        adaptive = policy.sigma + human.sigma + self.constant_rate  # (3.5)
         rate = adaptive if self.static_rate is None else self.static_rate
         target = action + rate * advice
 
         given = advice != 0
-        threshold = 0.5 * jnp.sqrt(self.policy.kernel.variance)
-        replaces = (sigma_policy < threshold) & (policy.count > 0) if self.sparsify else jnp.array(False)
-        policy_full = ~replaces & (policy.count >= policy.capacity)
-        human_full = states.human.count[where] >= states.human.capacity
-        full = given & (policy_full | human_full)
-        index = jnp.where(replaces, nearest, policy.count)
+        count, threshold = policy.posterior.count, 0.5 * jnp.sqrt(self.policy.kernel.variance)
+        replaces = (policy.sigma < threshold) & (count > 0) if self.sparsify else jnp.array(False)
+        policy_full = ~replaces & policy.full
+        full = given & (policy_full | human.full)
+        index, human_index = jnp.where(replaces, policy.nearest, count), human.posterior.count
         refused = full
         if self.on_full == "replace-nearest":
             refused = jnp.array(False)
             replaces = replaces | policy_full
-            index = jnp.where(policy_full, nearest, index)
+            index = jnp.where(policy_full, policy.nearest, index)
+            human_index = jnp.where(human.full, human.nearest, human_index)
 
         # Both models learn a correction or neither does, and nothing that is no number enters any of them.
-        numbers = [obs, action, advice, sigma_policy, sigma_human]
+        numbers = [obs, action, advice, policy.sigma, human.sigma]
         finite = jnp.stack([jnp.isfinite(number).all() for number in numbers]).all()
         learns = given & finite & ~refused
-        change = self.policy.put(states.policy, where, reading, obs, target, index, learns)
-        human = learn_human(learns, human_full)
-        sound = self.policy.sound(change, policy.scale) & self.human.sound(human, states.human.scale[where])
-        finite &= sound | ~learns
+        change = GPCChange(
+            policy=self.policy.put(states.policy, place, policy.reading, obs, target, index, learns),
+            human=self.human.put(states.human, place, human.reading, pair, advice, human_index, learns),
+        )
+        finite &= self._sound(change, policy.posterior, human.posterior) | ~learns
         learns &= finite
         status = jnp.where(finite, jnp.where(refused, Status.FULL, Status.OK), Status.NON_FINITE)
         info = Info(
-            rate=jnp.where(learns, rate, 0.0),
-            sigma_policy=sigma_policy,
-            sigma_human=sigma_human,
+            rate=jnp.where(learns, rate * jnp.abs(advice), 0.0),
+            sigma_policy=policy.sigma,
+            sigma_human=human.sigma,
             appended=learns & ~replaces,
             replaced=learns & replaces,
             full=full,
             status=jnp.where(given, status, Status.OK).astype(jnp.int32),
         )
-        return GPCChange(policy=change.only(learns), human=human.only(learns)), info
+        return GPCChange(policy=change.policy.only(learns), human=change.human.only(learns)), info
+
+    def _sound(self, change: GPCChange, policy: Posterior, human: Posterior) -> Bool[Array, ""]:
+        """Whether both models would still be numbers."""
+        return self.policy.sound(change.policy, policy.scale) & self.human.sound(change.human, human.scale)
 
 
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:

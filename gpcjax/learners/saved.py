@@ -18,11 +18,15 @@ from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.coach import COACH
-from gpcjax.learners.factory import make_learner
+from gpcjax.learners.dcoach import DCoach
+from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
+from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.hyperparameters import CAPACITY, HYPERPARAMETERS, ON_FULL
 from gpcjax.policies.folder import CARD, first_line, read_arrays, read_card, write_folder
 from gpcjax.policies.saved import save_controller
+
+_SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
+"""The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
 
 _OWN = ("learner", "obs_size", "action_size")
 """What the card of a policy says of its learner."""
@@ -124,6 +128,8 @@ def _settings(learner: Learner, state: State) -> dict[str, Any]:
     sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
     if isinstance(learner, COACH):
         return {"algo": "coach", **sizes, "counts": list(learner.grid.counts)}
+    if isinstance(learner, DCoach):
+        return {"algo": "d-coach", **sizes, **{name: getattr(learner, name) for name in _SIZES_OF_D_COACH}}
     if not isinstance(learner, GPC):
         raise UserError(
             f"there is no format for a {type(learner).__name__}: give a learner from make_learner"
@@ -151,7 +157,10 @@ def _settings(learner: Learner, state: State) -> dict[str, Any]:
 def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a card. Raises UserError or KeyError."""
     sizes = {name: checked(name, card[name], int, COUNT) for name in ("obs_size", "action_size")}
-    algo = checked("algo", card["algo"], str, OneOf(("gpc", "gpc-ns", "coach")))
+    algo = checked("algo", card["algo"], str, OneOf(("gpc", "gpc-ns", "coach", "d-coach")))
+    if algo == "d-coach":
+        whole = {name: checked(name, card[name], int, _SIZES_OF_D_COACH[name]) for name in _SIZES_OF_D_COACH}
+        return {"algo": algo, **sizes, **whole}
     if algo == "coach":
         counts = card["counts"]
         if not isinstance(counts, list):
@@ -163,7 +172,7 @@ def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "algo": algo,
         **sizes,
-        "policy_nu": checked("policy_nu", card["policy_nu"], float, HYPERPARAMETERS["policy_nu"].allowed),
+        "policy_nu": checked("policy_nu", card["policy_nu"], float, ALLOWED["policy_nu"]),
         "static": checked("static", card["static"], bool, SWITCH),
         "sparsify": checked("sparsify", card["sparsify"], bool, SWITCH),
         "on_full": checked("on_full", card["on_full"], str, OneOf(ON_FULL)),

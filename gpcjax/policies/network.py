@@ -1,4 +1,4 @@
-"""The policy of a neural network: layers of tanh units and a linear one."""
+"""The policies of neural networks: layers of tanh units and a linear one, whose output may be squashed."""
 
 import functools
 import operator
@@ -35,6 +35,23 @@ class NetworkController(Controller):
         for weights, biases in hidden:
             units = tanh(_affine(weights, biases, units))
         return _affine(*last, units)
+
+
+class SquashedNetwork(Controller):
+    """A network whose actions are in (-1, 1): a = tanh(what `network` gives)."""
+
+    network: NetworkController
+
+    @property
+    def obs_size(self) -> int:
+        return self.network.obs_size
+
+    @property
+    def action_size(self) -> int:
+        return self.network.action_size
+
+    def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
+        return tanh(self.network(obs))
 
 
 def _affine(

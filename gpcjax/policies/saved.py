@@ -26,7 +26,7 @@ from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.folder import CARD, Shapes, read_arrays, read_card, write_folder
 from gpcjax.policies.grid import Grid, GridController
 from gpcjax.policies.kernel import KernelController
-from gpcjax.policies.network import NetworkController
+from gpcjax.policies.network import NetworkController, SquashedNetwork
 
 MOST_LAYERS = 64
 """Of a network: what is more is no card of ours."""
@@ -242,7 +242,7 @@ def _network_shapes(settings: Settings, obs_size: int, action_size: int, named: 
     }
 
 
-def _read_network(settings: Settings, arrays: Arrays) -> Controller:
+def _read_network(settings: Settings, arrays: Arrays) -> NetworkController:
     values, layers = _on_device(arrays), range(1, settings["layers"] + 1)
     return NetworkController(
         weights=tuple(values[f"weights_{layer}"] for layer in layers),
@@ -258,5 +258,11 @@ KINDS: Mapping[str, Kind] = {
     "kernel": Kind(KernelController, _write_kernel, _kernel_shapes, _read_kernel),
     "grid": Kind(GridController, _write_grid, _grid_shapes, _read_grid),
     "network": Kind(NetworkController, _write_network, _network_shapes, _read_network),
+    "squashed-network": Kind(
+        SquashedNetwork,
+        lambda controller: _write_network(controller.network),
+        _network_shapes,
+        lambda settings, arrays: SquashedNetwork(_read_network(settings, arrays)),
+    ),
 }
 """By the name in the card."""

@@ -49,7 +49,7 @@ def learning_curves(summary: Summary) -> Drawing:
     final return of each run. Of a grid the best point, the other points as thin lines. Behind them the oracle (mean
     and one standard deviation) and the idle policy.
     """
-    study = summary.study
+    study, looks = summary.study, style.looks(summary.study.algorithms)
     with style.publication():
         figure, axes = style.panels(_titles(study), _columns(study))
         reach: list[float] = []
@@ -58,7 +58,7 @@ def learning_curves(summary: Summary) -> Drawing:
             reach += _baselines(axis, study.oracle(oracle), study.idle)
             groups = [group for group in study.select(oracle, error) if group.runs]
             for group in groups:
-                _curve(axis, group, leading=summary.of(group).best)
+                _curve(axis, group, looks[group.algo], leading=summary.of(group).best)
             style.count_ticks(axis, study.episodes)
             axis.yaxis.set_major_locator(MaxNLocator(nbins=6))
             leading[axis] = [group for group in groups if summary.of(group).best]
@@ -97,7 +97,7 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
     fewer than half of the runs have so many corrections. Of a grid the best point. None if no run that is counted has
     a correction.
     """
-    study = summary.study
+    study, looks = summary.study, style.looks(summary.study.algorithms)
     if corrections.empty:
         return None
     dimensions = sorted(corrections["action_dim"].unique().tolist())
@@ -119,7 +119,7 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
             for group in study.select(oracle, error):
                 band = rates.get((group, dimension))
                 if band is not None and band.size:
-                    line(axis, np.arange(1, band.shape[1] + 1), median_band(band), style.colour(group.algo))
+                    line(axis, np.arange(1, band.shape[1] + 1), median_band(band), looks[group.algo])
             style.count_ticks(axis, longest)
         cut = style.follow_lines(axes, bottom=0.0)
         style.label(axes, "correction", "learning rate, median of runs")
@@ -146,21 +146,21 @@ def _columns(study: Study) -> int | None:
     return len(study.errors) if len({oracle for oracle, _ in study.panels}) > 1 else None
 
 
-def _curve(axis: Axes, group: Group, leading: bool) -> None:
-    colour, episode = style.colour(group.algo), np.arange(1, group.returns.shape[1] + 1)
+def _curve(axis: Axes, group: Group, look: style.Look, leading: bool) -> None:
+    colour, episode = look.colour, np.arange(1, group.returns.shape[1] + 1)
     smooth = walking_mean(group.returns, WINDOW)
     if not leading:
         axis.plot(episode, smooth.mean(axis=0), color=colour, linewidth=0.5, alpha=0.35, zorder=2)
         return
     axis.plot(episode, group.returns.mean(axis=0), color=colour, linewidth=0.8, alpha=0.35, zorder=3)
-    line(axis, episode, mean_band(smooth), colour)
+    line(axis, episode, mean_band(smooth), look)
 
 
-def line(axis: Axes, x: np.ndarray, band: Band, colour: str) -> None:
+def line(axis: Axes, x: np.ndarray, band: Band, look: style.Look) -> None:
     """A curve over its interval."""
-    marker = "o" if len(x) == 1 else None
-    axis.fill_between(x, band.lower, band.upper, color=colour, alpha=0.2, linewidth=0, zorder=3)
-    axis.plot(x, band.mean, color=colour, marker=marker, markersize=3, zorder=4)
+    options = {"marker": "o" if len(x) == 1 else None, "markersize": 3} | look.line(len(x))
+    axis.fill_between(x, band.lower, band.upper, color=look.colour, alpha=0.2, linewidth=0, zorder=3)
+    axis.plot(x, band.mean, zorder=4, **options)
 
 
 def _strip(axis: Axes, groups: Sequence[Group], study: Study) -> None:
@@ -173,19 +173,20 @@ def _strip(axis: Axes, groups: Sequence[Group], study: Study) -> None:
     begin = last + 0.6 * column
     axis.set_xlim(first, begin + column * len(study.algorithms))
     axis.spines["bottom"].set_bounds(first, last)
+    looks = style.looks(study.algorithms)
     for group in groups:
-        colour, values = style.colour(group.algo), group.final.values
+        look, values = looks[group.algo], group.final.values
         middle = begin + column * (study.algorithms.index(group.algo) + 0.5)
         x = middle + column * _side_by_side((values - low) / (high - low))
-        for chosen, marker in ((~group.broke_down, "."), (group.broke_down, "x")):
+        for chosen, marker in ((~group.broke_down, look.marker or "."), (group.broke_down, "x")):
             axis.plot(
                 x[chosen],
                 values[chosen],
                 linestyle="none",
                 marker=marker,
                 markersize=4.0 if marker == "." else 3.0,
-                markeredgewidth=0.0 if marker == "." else 0.6,
-                color=colour,
+                markeredgewidth=0.6 if marker == "x" else 0.0,
+                color=look.colour,
                 alpha=0.6,
             )
         bar = [middle - 0.45 * column, middle + 0.45 * column]
@@ -222,7 +223,8 @@ def _baselines(axis: Axes, oracle: Baseline, idle: Baseline) -> list[float]:
 
 def _algorithms(study: Study) -> list[Artist]:
     return [
-        Line2D([], [], color=style.colour(algo), label=words.algorithm(algo)) for algo in study.algorithms
+        Line2D([], [], label=words.drawn_algorithm(algo), **look.line())
+        for algo, look in style.looks(study.algorithms).items()
     ]
 
 

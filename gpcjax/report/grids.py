@@ -67,7 +67,7 @@ def final_returns(summary: Summary) -> Drawing | None:
         _draw_heatmaps(
             figure, [(panel, axis) for panel, axis in drawn if len(panel.axes) == 2], summary, label
         )
-        style.legend(figure, _legend(panels))
+        style.legend(figure, _legend(panels, summary))
     sentences = [
         f"Final return over {words.listed([words.meaning(name) for name in study.varying])}: mean over runs"
         f"{', of lines with its 95% interval' if lines else ''}. The star is the best point; points that are not "
@@ -164,13 +164,14 @@ def _draw_lines(drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: s
 
 def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
     (name,) = panel.axes
+    looks = style.looks(summary.study.algorithms)
     for algo in unique(group.algo for group in panel.groups):
         groups = [group for group in panel.groups if group.algo == algo and group.runs]
         x = np.array([group.point.get(name) for group in groups], dtype=np.float64)
         estimates = np.array([summary.of(group).final for group in groups])
-        colour = style.colour(algo)
+        colour, dash = looks[algo].colour, looks[algo].dash
         axis.fill_between(x, estimates[:, 1], estimates[:, 2], color=colour, alpha=0.2, linewidth=0)
-        axis.plot(x, estimates[:, 0], color=colour)
+        axis.plot(x, estimates[:, 0], color=colour, linestyle=dash)
         for group, value, (estimate, _, _) in zip(groups, x, estimates, strict=True):
             axis.plot(value, estimate, zorder=4, **_marker(colour, summary.of(group)))
     values = _values(panel.groups, name)
@@ -199,10 +200,13 @@ def _marker(colour: str, row: Row) -> dict[str, Any]:
     }
 
 
-def _legend(panels: Sequence[_Panel]) -> list[Artist]:
+def _legend(panels: Sequence[_Panel], summary: Summary) -> list[Artist]:
     lines = [panel for panel in panels if len(panel.axes) == 1]
+    looks = style.looks(summary.study.algorithms)
     handles: list[Artist] = [
-        Line2D([], [], color=style.colour(algo), label=words.algorithm(algo))
+        Line2D(
+            [], [], color=looks[algo].colour, linestyle=looks[algo].dash, label=words.drawn_algorithm(algo)
+        )
         for algo in unique(group.algo for panel in lines for group in panel.groups)
     ]
     plain: dict[str, Any] = {"linestyle": "none", "color": style.INK}

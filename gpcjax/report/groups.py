@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS
+from gpcjax.registry import built_in
 from gpcjax.report.statistics import Scores, first_crossing
 
 T = TypeVar("T")
@@ -139,7 +139,7 @@ class Study:
 
     @property
     def algorithms(self) -> tuple[str, ...]:
-        order = self.manifest.get("specification", {}).get("algo", ALGORITHMS)
+        order = self.manifest.get("specification", {}).get("algo", built_in("learner"))
         return tuple(sorted({group.algo for group in self.groups}, key=lambda algo: _rank(algo, order)))
 
     @property
@@ -184,7 +184,7 @@ def gather(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Study:
     groups = [
         _group(rows, varying, length, idle) for _, rows in episodes.groupby(keys, dropna=False, sort=False)
     ]
-    oracles, algorithms = specification.get("oracle", ()), specification.get("algo", ALGORITHMS)
+    oracles, algorithms = specification.get("oracle", ()), specification.get("algo", built_in("learner"))
 
     def place(group: Group) -> tuple[Any, ...]:
         algorithm = _rank(group.algo, algorithms)

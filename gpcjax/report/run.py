@@ -13,7 +13,7 @@ import pandas as pd
 
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
-from gpcjax.report import curves, grids, html, style
+from gpcjax.report import content, curves, grids, html, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.sweep import store
@@ -59,11 +59,11 @@ def draw_frames(
     for name, drawing in drawings.items():
         if drawing is not None:
             files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
-            pictures.append(html.pictured(drawing))
-    files["report.html"] = html.page(summary, pictures)
-    for name, content in files.items():
+            pictures.append(style.pictured(drawing))
+    files["report.html"] = html.render(content.document(summary, pictures))
+    for name, written in files.items():
         try:
-            write_atomic(out / name, content)
+            write_atomic(out / name, written)
         except OSError as error:
             raise UserError(f"{out / name}: cannot be written ({error.strerror}), {_MEND}") from None
     return replace(summary, files=tuple(out / name for name in files))

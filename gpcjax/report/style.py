@@ -14,9 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-# Blue, vermilion and green of Okabe and Ito (2008): told apart with any colour vision.
+from gpcjax.report.document import Picture
+
+# Blue, vermilion and green of Okabe and Ito (2008): told apart with any colour vision. Of the thesis' learners.
 ALGORITHM_COLOURS = {"gpc": "#0072B2", "gpc-ns": "#D55E00", "coach": "#009E73"}
-OTHER_COLOUR = "#CC79A7"
+
 ORACLE_COLOUR = "#333333"
 IDLE_COLOUR = "#777777"
 INK = "#222222"
@@ -84,9 +86,54 @@ def publication() -> Iterator[None]:
         yield
 
 
+class Look(NamedTuple):
+    """How the lines of a learner are drawn; no marker is a plain line, whose runs are dots."""
+
+    colour: str
+    dash: Any = "-"
+    marker: str = ""
+
+    def line(self, points: int = 0) -> dict[str, Any]:
+        """Keywords of a line of so many points: markers are few, at the same places for all."""
+        options: dict[str, Any] = {"color": self.colour, "linestyle": self.dash}
+        if self.marker:
+            options |= {"marker": self.marker, "markersize": 3.5, "markevery": max(1, points // 6)}
+        return options
+
+
+_FIXED = {name: Look(colour) for name, colour in ALGORITHM_COLOURS.items()} | {
+    "d-coach": Look("#CC79A7", marker="D")
+}
+"""Of learners that are the same in every figure."""
+
+_COLOURS = ("#E69F00", "#56B4E9")
+"""Orange and sky blue of the same eight colours: of learners that have none of their own."""
+
+_DASHES = ("-", (0, (4, 1.2)), (0, (6, 1.2, 1.2, 1.2)), (0, (2, 1)))
+_MARKERS = "s^vPXph8<>"
+
+
+def looks(algorithms: Sequence[str]) -> dict[str, Look]:
+    """A look for each of the learners that a figure shows, by their order: no two of the first twenty are the same.
+
+    The thesis' learners and D-COACH look the same in every figure. Others take the colours that are left, then all
+    colours again with other dashes; each of the first ten has a marker of its own.
+    """
+    taken = {_FIXED[name].colour for name in algorithms if name in _FIXED}
+    every = [*_COLOURS, *(look.colour for look in _FIXED.values())]
+    free = [Look(colour) for colour in every if colour not in taken]
+    free += [Look(colour, dash) for dash in _DASHES[1:] for colour in every]
+    others = [name for name in algorithms if name not in _FIXED]
+    own = {
+        name: free[place % len(free)]._replace(marker=_MARKERS[place % len(_MARKERS)])
+        for place, name in enumerate(others)
+    }
+    return {name: _FIXED.get(name) or own[name] for name in algorithms}
+
+
 def colour(algo: str) -> str:
-    """The same for an algorithm in every figure."""
-    return ALGORITHM_COLOURS.get(algo, OTHER_COLOUR)
+    """Of a learner that looks the same in every figure."""
+    return _FIXED[algo].colour
 
 
 def panels(
@@ -167,9 +214,12 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
 
     To the left: a phone shows the beginning of a wide figure.
     """
-    inches = sum(0.47 + 0.058 * len(str(handle.get_label())) for handle in handles)
-    rows = -(-inches // figure.get_figwidth())
+    inches = [0.47 + 0.058 * len(str(handle.get_label())) for handle in handles]
+    rows = -(-sum(inches) // figure.get_figwidth())
     columns = int(-(-len(handles) // max(rows, 1)))
+    # A column is as wide as its longest label.
+    while columns > 1 and sum(map(max, np.array_split(inches, columns))) > figure.get_figwidth():
+        columns -= 1
     if handles:
         figure.legend(
             handles=list(handles),
@@ -187,6 +237,12 @@ def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
     with publication():
         figure.savefig(stream, format=kind, backend=_BACKENDS[kind], dpi=dpi, metadata=undated)
     return stream.getvalue()
+
+
+def pictured(drawing: Drawing, file: str = "") -> Picture:
+    """A drawing for a document; `file` is where it lies beside it."""
+    figure, alternative, caption = drawing
+    return Picture(image(figure, "svg"), figure.get_figwidth(), alternative, caption, file)
 
 
 def _across(number: int) -> int:

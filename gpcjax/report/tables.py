@@ -1,18 +1,11 @@
-"""The tables of a report as sheets of text, and how the terminal shows them."""
+"""The tables of a report, and the sentences that go with them."""
 
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-from rich import box
-from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-from rich.console import Group as Lines
-from rich.measure import Measurement
-from rich.table import Table
-from rich.text import Text
 
 from gpcjax.report import words
+from gpcjax.report.document import Kind, Sheet
 from gpcjax.report.groups import CLOSED_GAP, FINAL_EPISODES, Group, Study, unique
 from gpcjax.report.summary import Difference, Row, Summary
 
@@ -21,41 +14,8 @@ MOST_ROWS = 60
 
 CLOSED = f"{100 * CLOSED_GAP:.0f}%"
 
-WORD_COLUMNS = ("error", "algo", "difference", "section", "condition", "holds", "experiment")
-"""Columns that are set to the left; the others hold numbers."""
-
-PROSE_COLUMNS = ("claim", "statistic", "verdict", "after Holm", "oracle")
-"""Columns of sentences, to the left too, in as many lines as they need."""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A table as text; `breaks` are the rows that end a block."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    breaks: frozenset[int] = frozenset()
-
-
-def render(summary: Summary) -> RenderableType:
-    """What a sweep prints at its end: warnings, results by oracle, paired differences, and how to read them.
-
-    It prints on a stream of any encoding, in the signs that this has.
-    """
-    differences = difference_sheets(summary) if len(summary.differences) <= MOST_ROWS else []
-    notes = reading(summary) + (reading_differences() if differences else [])
-    if len(summary.differences) > MOST_ROWS:
-        notes.append(
-            f"{len(summary.differences)} paired differences between algorithms are in differences.csv."
-        )
-    sheets = result_sheets(summary) + point_sheets(summary) + differences
-    return Lines(
-        *(_Line(line, "bold red") for line in warnings(summary)),
-        *(part for sheet in sheets for part in (Text(), _Fitted(sheet))),
-        Text(),
-        *(_Line(note, "dim") for note in notes),
-    )
+KINDS: dict[str, Kind] = {"error": "word", "algo": "word", "difference": "word"}
+"""Of the columns that hold no numbers."""
 
 
 def result_sheets(summary: Summary) -> list[Sheet]:
@@ -97,7 +57,9 @@ def point_sheets(summary: Summary) -> list[Sheet]:
         if rows:
             columns = ("error", "algo", *_symbols(summary.study), "final return", "tied", "points")
             sheets.append(
-                Sheet(f"best points of the grid, oracle {oracle}", columns, tuple(rows), _breaks(errors))
+                Sheet(
+                    f"best points of the grid, oracle {oracle}", columns, tuple(rows), _breaks(errors), KINDS
+                )
             )
     return sheets
 
@@ -112,7 +74,7 @@ def difference_sheets(summary: Summary) -> list[Sheet]:
             decimals = words.places([bound for difference in shown for bound in difference.area])
             rows = tuple(_difference(difference, summary.study, decimals) for difference in shown)
             breaks = _breaks([difference.first.error for difference in shown])
-            sheets.append(Sheet(f"paired differences, oracle {oracle}", columns, rows, breaks))
+            sheets.append(Sheet(f"paired differences, oracle {oracle}", columns, rows, breaks, KINDS))
     return sheets
 
 
@@ -211,7 +173,7 @@ def limits_sheets(summary: Summary) -> list[Sheet]:
             for group in groups
         )
         sheets.append(
-            Sheet(f"steps, oracle {oracle}", columns, rows, _breaks([group.error for group in groups]))
+            Sheet(f"steps, oracle {oracle}", columns, rows, _breaks([group.error for group in groups]), KINDS)
         )
     return sheets
 
@@ -248,10 +210,11 @@ def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> She
     blocks = [row.group.error for row in shown] if len(study.algorithms) > 1 else [0.0] * len(shown)
     for name, policy in (("oracle", baseline), ("idle", study.idle)):
         if policy.n:
-            cells = dict.fromkeys(columns, "") | {"algo": name}
-            cells["final return"] = words.plus_minus(policy.mean, policy.std, final)
-            rows.append(tuple(cells.values()))
-    return Sheet(f"{study.env}, oracle {oracle}", columns, tuple(rows), _breaks(blocks))
+            cells = [""] * len(columns)
+            cells[1] = name  # by place: a setting may be called as one of our columns
+            cells[2 + len(varying) + bool(grid)] = words.plus_minus(policy.mean, policy.std, final)
+            rows.append(tuple(cells))
+    return Sheet(f"{study.env}, oracle {oracle}", columns, tuple(rows), _breaks(blocks), KINDS)
 
 
 def _difference(difference: Difference, study: Study, decimals: int) -> tuple[str, ...]:
@@ -260,59 +223,6 @@ def _difference(difference: Difference, study: Study, decimals: int) -> tuple[st
     star = " *" if difference.area.excludes_zero else "  "
     interval = words.interval(difference.area, decimals) + star
     return words.percent(difference.first.error), names, *values, interval, str(difference.pairs)
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A sentence."""
-
-    text: str
-    style: str
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield Text(words.printable(self.text, options.encoding), style=self.style)
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """A sheet with two spaces between its columns, or one where the terminal is narrow."""
-
-    sheet: Sheet
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        sheet = _printable(self.sheet, options.encoding)
-        wide = _table(sheet, gap=2)
-        needed = Measurement.get(console, options.update(max_width=1000), wide).maximum
-        yield wide if needed <= options.max_width else _table(sheet, gap=1)
-
-
-def _printable(sheet: Sheet, encoding: str) -> Sheet:
-    def each(texts: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(words.printable(text, encoding) for text in texts)
-
-    return Sheet(
-        words.printable(sheet.title, encoding),
-        each(sheet.columns),
-        tuple(map(each, sheet.rows)),
-        sheet.breaks,
-    )
-
-
-def _table(sheet: Sheet, gap: int) -> Table:
-    table = Table(
-        title=sheet.title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,  # it draws one space between columns
-        padding=(0, gap - 1, 0, 0),
-        show_edge=False,
-        pad_edge=False,
-    )
-    for column in sheet.columns:
-        table.add_column(column, justify="left" if column in WORD_COLUMNS else "right", no_wrap=True)
-    for index, row in enumerate(sheet.rows):
-        table.add_row(*map(Text, row), end_section=index in sheet.breaks)
-    return table
 
 
 def _oracles(summary: Summary) -> tuple[str, ...]:

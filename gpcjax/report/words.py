@@ -1,32 +1,56 @@
 """How names and numbers are written in tables, figures and the HTML report."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from gpcjax.learners.hyperparameters import HYPERPARAMETERS
+from gpcjax.describe import Setting
+from gpcjax.learners.descriptions import CREDIT
+from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study
 from gpcjax.report.statistics import Interval
 from gpcjax.streams import ASCII
 
-ALGORITHM_LABELS = {"gpc": "GPC", "gpc-ns": "GPC-NS", "coach": "COACH"}
 ABSENT = "-"
-UNITS = {"cartpole": "steps upright", "pendulum": "negative cost"}
-ACTIONS = {"lunarlander": ("main engine", "side engines")}
-"""What the dimensions of an action move, where there are several."""
 STATUS_TEXTS = {"full": "dictionary full", "non-finite": "a number was not finite"}
 
-_SYMBOLS = {name: row.symbol for name, row in HYPERPARAMETERS.items()} | {"delta": "delta", "rate": "gamma"}
-_MEANINGS = {name: row.text for name, row in HYPERPARAMETERS.items()} | {
+_SETTINGS: dict[str, Setting] = {
+    setting.name: setting
+    for kind in ("learner", "teacher")
+    for name in built_in(kind)
+    for setting in find(kind, name).settings
+} | {setting.name: setting for setting in CREDIT}
+_SYMBOLS = {name: setting.symbol for name, setting in _SETTINGS.items() if setting.symbol} | {
+    "delta": "delta",
+    "rate": "gamma",
+}
+_MEANINGS = {name: setting.text for name, setting in _SETTINGS.items()} | {
     "delta": "distance from its target within which the teacher is silent",
     "rate": "chance of advice at a step",
 }
-_GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "nu")
+_GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "tau", "nu")
 
 
 def algorithm(name: str) -> str:
     """As the thesis writes it."""
-    return ALGORITHM_LABELS.get(name, name)
+    return name if (spec := _spec("learner", name)) is None else spec.title
+
+
+def drawn_algorithm(name: str) -> str:
+    """The same in a legend, where a dollar would begin a formula and an underscore at the front hide the line."""
+    label = algorithm(name).replace("$", "\\$")
+    return f" {label}" if label.startswith("_") else label
+
+
+def task(name: str) -> str:
+    """A task as a sentence calls it."""
+    return name if (spec := _spec("task", name)) is None else spec.title
+
+
+def _spec(kind: Kind, name: str) -> Any:
+    """The description of what a store names; None where it is not known here, or a module would be run for it."""
+    return find(kind, name) if name in built_in(kind) else None
 
 
 def percent(error: float) -> str:
@@ -66,7 +90,8 @@ def value(setting: float | None) -> str:
 
 def action(env: str, dimension: int) -> str:
     """What an action dimension (from 0) moves."""
-    names = ACTIONS.get(env, ())
+    spec = _spec("task", env)
+    names = () if spec is None else spec.actions
     return names[dimension] if dimension < len(names) else f"action {dimension + 1}"
 
 
@@ -97,7 +122,8 @@ def listed(names: Sequence[str]) -> str:
 
 def return_label(study: Study) -> str:
     """What the return counts, with its unit where it has one."""
-    return f"return ({UNITS[study.env]})" if study.env in UNITS else "return"
+    spec = _spec("task", study.env)
+    return f"return ({spec.unit})" if spec is not None and spec.unit else "return"
 
 
 def places(values: Sequence[float]) -> int:

@@ -115,7 +115,7 @@ def ablation(rows: Mapping[str, Experiment], variant: Ablation) -> Drawing:
             feedback = group.corrections / experiment.rows(group, "length")
             for axis, values in zip(axes, (group.returns, feedback), strict=False):
                 _walked(axis, x, values, colour, ROW_DASHES[name])
-            line(axes[2], x, mean_band(experiment.rows(group, "chance")), colour)
+            line(axes[2], x, mean_band(experiment.rows(group, "chance")), style.Look(colour))
             axes[2].lines[-1].set_linestyle(ROW_DASHES[name])
         for axis in axes:
             style.count_ticks(axis, episodes)
@@ -242,7 +242,7 @@ def _walked(
     with np.errstate(invalid="ignore"):
         known = ~np.isnan(window)
         walked = np.where(known, window, 0.0).sum(0) / np.maximum(known.sum(0), 1)
-    line(axis, x, mean_band(np.where(np.isnan(values), np.nan, walked)), colour)
+    line(axis, x, mean_band(np.where(np.isnan(values), np.nan, walked)), style.Look(colour))
     axis.lines[-1].set_linestyle(dashes)
 
 

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gpcjax.engine.lanes import Lane
-from gpcjax.gp import regression
 from gpcjax.gp.fit import fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import GaussianProcess, Posterior
+from gpcjax.gp.posterior import Posterior
+from gpcjax.gp.replacing import Replacing
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.gpc import GPC
-from gpcjax.learners.presets import PRESETS
+from gpcjax.registry import find
 from gpcjax.reproduce.probing import angles_of, as_gpc, idle_state, look, parameters_of, sigmas, taught
 from gpcjax.reproduce.records import (
     Erroneous,
@@ -108,13 +108,13 @@ def _regression(
     kernel: Kernel, noise: Any, points: Any, targets: Any, x: Any
 ) -> tuple[Float[Array, " grid"], Float[Array, " grid"], Float[Array, ""]]:
     """Mean and standard deviation over `x`, and the log marginal likelihood."""
-    process = GaussianProcess(kernel, noise)
+    process = Replacing(kernel, noise)
 
     def put(posterior: Posterior, pair: Any) -> tuple[Posterior, None]:
         point, target = pair[0][None], pair[1]
         reading = process.read(posterior, (), process.covariances(posterior, point))
         change = process.put(posterior, (), reading, point, target, posterior.count, jnp.array(True))
-        return regression.write(posterior, (), change), None
+        return change.write(posterior, ()), None
 
     posterior, _ = jax.lax.scan(put, process.init(points.size, jnp.ones(1)), (points, targets))
 
@@ -229,7 +229,7 @@ def erroneous(advices: int = 16, wrong: int = 3, target: float = 1.0, tolerance:
         length_scales=np.array([SHORT, LONG]),
         wrong=np.array(wrong),
         thesis_length_scales=np.array(
-            [PRESETS[algo]["cartpole"]["human_length_scale"] for algo in algorithms]
+            [find("task", "cartpole").presets[algo]["human_length_scale"] for algo in algorithms]
         ),
         scanned_length_scales=np.array(scanned),
         scanned_wrong=np.array(wrongs),

@@ -1,20 +1,44 @@
-"""The report of a reproduction: one HTML page that needs nothing else, and its claims as Markdown. Loads no jax."""
+"""What the report of a reproduction says, as a document, and its tests as CSV. Loads no jax."""
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gpcjax.report import html, words
-from gpcjax.report.html import Picture
-from gpcjax.report.tables import Sheet
+from gpcjax.report import words
+from gpcjax.report.content import facts
+from gpcjax.report.document import (
+    Block,
+    Code,
+    Definitions,
+    Document,
+    Heading,
+    Kind,
+    Paragraph,
+    Picture,
+    Sheet,
+    Warnings,
+)
 from gpcjax.reproduce.parts import CHANGES, CIRCLE, PARTS, Part, taught_by_gpc
-from gpcjax.reproduce.results import Experiment, Results
+from gpcjax.reproduce.results import Results
 from gpcjax.reproduce.verdicts import HOLDS, NOT_TESTED, Claim, Test, counted
 
+LEAD = (
+    "D. Wout, Policy Learning with Human Teachers: every experiment that needs no person, its figures, and what "
+    "becomes of each claim about the results."
+)
+BESIDE = "Made by the command below, with its figures. Every test of every claim is a line of claims.csv."
+QUICK = "A quick reproduction: a few short runs of each experiment, to see that all works. Its verdicts mean little."
+
 ACROSS = Part("Across the tasks (5.4 and 6)", ())
+
+
+KINDS: dict[str, Kind] = {
+    **{name: "word" for name in ("section", "condition", "experiment")},
+    **{name: "prose" for name in ("claim", "statistic", "verdict", "after Holm", "oracle")},
+}
+"""Of the columns that hold no numbers."""
 
 
 def page(
@@ -23,52 +47,54 @@ def page(
     sheets: Mapping[str, Sequence[Sheet]],
     results: Results,
     commands: Sequence[str],
-    quick: bool,
-) -> str:
-    """The whole document. `claims`, `pictures` and `sheets` are by part; `results` by the name of their experiment."""
-    every = [claim for each in claims.values() for claim in each]
-    body = [
-        "<h1>The thesis, reproduced</h1>",
-        '<p class="lead">D. Wout, Policy Learning with Human Teachers: every experiment that needs no person, its '
-        "figures, and what becomes of each claim about the results.</p>",
-        _warning(quick),
-        "<h2>Claims</h2>",
-        html.paragraph(counted(every)),
-        html.table(_verdicts(claims)),
-        *(html.paragraph(line) for line in READING),
+    quick: bool = False,
+    brief: bool = False,
+) -> Document:
+    """The whole report. `claims`, `pictures` and `sheets` are by part; `results` by the name of their experiment.
+
+    A `brief` one, for a file that people read as text, has a line for each claim with its estimates, and no tables of
+    the parts; else each part has a table of every test.
+    """
+    blocks: list[Block] = [Paragraph(LEAD, lead=True)]
+    blocks += [Paragraph(BESIDE)] if brief else []
+    blocks += [Warnings((QUICK,))] if quick else []
+    blocks += [
+        Heading("Claims"),
+        Paragraph(counted(list(_all(claims)))),
+        *(() if brief else (_verdicts(claims),)),
+        *map(Paragraph, READING),
+        *((claims_table(claims, ("statistic",)),) if brief else ()),
     ]
     for name, part in {**PARTS, "all": ACROSS}.items():
-        if name in pictures or claims.get(name):
-            body.append(f"<h2>{escape(part.title)}</h2>")
-            body += [html.paragraph(line) for line in _taught(claims.get(name, ()))]
-            body += [html.picture(picture) for picture in pictures.get(name, ())]
-            body += [html.table(sheet) for sheet in sheets.get(name, ())]
-            if claims.get(name):
-                body.append(html.table(_tests(claims[name])))
-    body += [
-        "<h2>What differs from the thesis</h2>",
-        html.definitions(CHANGES),
-        "<h2>What was run</h2>",
-        *(f"<p><code>{escape(command)}</code></p>" for command in commands),
-        html.table(_runs(results)),
-        *_machine(results),
+        if pictures.get(name) or (claims.get(name) and not brief):
+            blocks += [Heading(part.title), *map(Paragraph, _taught(claims.get(name, ())))]
+            blocks += pictures.get(name, ())
+            if not brief:
+                blocks += sheets.get(name, ())
+                blocks += [_tests(claims[name])] if claims.get(name) else []
+    blocks += [
+        Heading("What differs from the thesis"),
+        Definitions(CHANGES),
+        Heading("What was run"),
+        Code(tuple(commands)),
+        _runs(results),
+        *_not_run(results),
+        *_machine(results, brief),
     ]
-    return html.document("The thesis, reproduced", body)
+    return Document("The thesis, reproduced", tuple(blocks))
 
 
-def markdown(claims: Mapping[str, Sequence[Claim]]) -> str:
-    """The claims as a table for a README, a row each."""
-    return _claims_table(claims, ())
+def claims_table(claims: Mapping[str, Sequence[Claim]], more: Sequence[str] = ()) -> Sheet:
+    """A row for each claim; `more` are columns that not every table has room for: "statistic".
 
-
-def _claims_table(claims: Mapping[str, Sequence[Claim]], more: Sequence[str]) -> str:
-    """A row for each claim; `more` are columns that not every table has room for: "statistic"."""
+    A verdict that is not the claimed one stands out.
+    """
     columns = ("section", "claim", "verdict", "after Holm", *more, "estimate [95 % interval]", "n", "oracle")
     rows = [
         {
             "section": claim.section,
             "claim": claim.text,
-            "verdict": _emphasised(claim),
+            "verdict": claim.short,
             "after Holm": _after_holm(claim),
             "statistic": _statistic(claim),
             "estimate [95 % interval]": _estimates(claim),
@@ -77,7 +103,10 @@ def _claims_table(claims: Mapping[str, Sequence[Claim]], more: Sequence[str]) ->
         }
         for claim in _all(claims)
     ]
-    return _markdown_table(columns, [[row[name] for name in columns] for row in rows])
+    place = columns.index("verdict")
+    strong = [(row, place) for row, claim in enumerate(_all(claims)) if claim.verdict != HOLDS]
+    cells = tuple(tuple(row[name] for name in columns) for row in rows)
+    return Sheet("", columns, cells, kinds=KINDS, strong=frozenset(strong))
 
 
 def csv_of(claims: Mapping[str, Sequence[Claim]]) -> str:
@@ -98,61 +127,8 @@ def csv_of(claims: Mapping[str, Sequence[Claim]]) -> str:
     return stream.getvalue()
 
 
-def markdown_report(
-    claims: Mapping[str, Sequence[Claim]],
-    captions: Mapping[str, Mapping[str, str]],
-    results: Results,
-    commands: Sequence[str],
-) -> str:
-    """The report as Markdown: `captions` are by part and name of the figure, which lies beside as figures/NAME.png."""
-    runs = _runs(results)
-    manifests = [experiment.study.manifest for experiment in results.values()]
-    parts = [
-        "# The thesis, reproduced",
-        "What `make reproduce` makes of every experiment in D. Wout, *Policy Learning with Human Teachers*, that "
-        "needs no person. This page, its figures and `claims.csv` are its output.",
-        "## Claims",
-        counted(list(_all(claims))),
-        *READING,
-        _claims_table(claims, ("statistic",)),
-    ]
-    for part, figures in captions.items():
-        parts.append(f"## {PARTS[part].title}")
-        parts += _taught(claims.get(part, ()))
-        parts += [f"![{name}](figures/{name}.png)\n\n{caption}" for name, caption in figures.items()]
-    parts += [
-        "## What differs from the thesis",
-        "\n".join(f"- **{name}**: {text}" for name, text in CHANGES.items()),
-        "## What was run",
-        "\n".join(f"    {command}" for command in commands),
-        _markdown_table(runs.columns, runs.rows),
-        "\n".join(
-            f"- not run: {name}"
-            for part in PARTS.values()
-            for name in part.experiments
-            if name not in results
-        ),
-        "\n".join(
-            f"- {title}: "
-            + "; ".join(f"{name} {value}" for name, value in manifests[0][key].items() if name != "platform")
-            for title, key in (("Machine", "machine"), ("Versions", "versions"))
-            if manifests
-        ),
-    ]
-    return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
-
-
-def _markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
-
-
 def _all(claims: Mapping[str, Sequence[Claim]]) -> Iterable[Claim]:
     return (claim for each in claims.values() for claim in each)
-
-
-def _emphasised(claim: Claim) -> str:
-    return claim.short if claim.verdict == HOLDS else f"**{claim.short}**"
 
 
 def _after_holm(claim: Claim) -> str:
@@ -205,7 +181,7 @@ READING = (
 )
 
 MOST_TESTS = 6
-"""Conditions of a claim whose estimates a line of the Markdown shows; the page shows all."""
+"""Conditions of a claim whose estimates a line of the brief report shows; the other shows all."""
 
 
 def _estimate(test: Test, tests: int) -> str:
@@ -225,7 +201,7 @@ def _verdicts(claims: Mapping[str, Sequence[Claim]]) -> Sheet:
         ]
         breaks.append(len(rows) - 1)
     columns = ("section", "claim", "verdict", "after Holm", "oracle")
-    return Sheet("verdicts", columns, tuple(rows), frozenset(breaks))
+    return Sheet("verdicts", columns, tuple(rows), frozenset(breaks), KINDS)
 
 
 def _tests(claims: Sequence[Claim]) -> Sheet:
@@ -247,7 +223,7 @@ def _tests(claims: Sequence[Claim]) -> Sheet:
             )
         breaks.append(len(rows) - 1)
     columns = ("claim", "statistic", "condition", "estimate", "n", "verdict", "p", "p (Holm)")
-    return Sheet("what tests each claim", columns, tuple(rows), frozenset(breaks))
+    return Sheet("what tests each claim", columns, tuple(rows), frozenset(breaks), KINDS)
 
 
 def _p(value: float) -> str:
@@ -272,17 +248,20 @@ def _runs(results: Results) -> Sheet:
             )
         )
     columns = ("experiment", "runs", "episodes", "stopped", "steps", "wall time (s)", "hash")
-    return Sheet("runs; those that stopped count as idle from then on", columns, tuple(rows))
+    return Sheet("runs; those that stopped count as idle from then on", columns, tuple(rows), kinds=KINDS)
 
 
-def _machine(results: Mapping[str, Experiment]) -> Iterable[str]:
+def _not_run(results: Results) -> Iterator[Block]:
+    missing = [name for part in PARTS.values() for name in part.experiments if name not in results]
+    if missing:
+        yield Paragraph(f"Not run: {', '.join(missing)}.")
+
+
+def _machine(results: Results, brief: bool) -> Iterator[Block]:
+    """Of the first experiment. What is published names no kernel of a machine."""
     for experiment in list(results.values())[:1]:
-        yield html.facts("Machine", experiment.study.manifest["machine"])
-        yield html.facts("Versions", experiment.study.manifest["versions"])
-
-
-def _warning(quick: bool) -> str:
-    if not quick:
-        return ""
-    text = "A quick reproduction: a few short runs of each experiment, to see that all works. Its verdicts mean little."
-    return f'<div class="warning"><p>{escape(text)}</p></div>'
+        machine = experiment.study.manifest["machine"]
+        yield from facts(
+            "Machine", {name: machine[name] for name in machine if name != "platform" or not brief}
+        )
+        yield from facts("Versions", experiment.study.manifest["versions"])

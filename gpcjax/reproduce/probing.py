@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.pool import Finished
-from gpcjax.gp.regression import Posterior
+from gpcjax.gp.posterior import Posterior
 from gpcjax.learners.gpc import GPC, GPCState
 from gpcjax.sweep.build import make_pool, start_of
 from gpcjax.sweep.plan import Cell, plan

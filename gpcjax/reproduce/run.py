@@ -7,10 +7,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from gpcjax.report import style
-from gpcjax.report.html import Picture
+from gpcjax.report import html, markdown, style
+from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.style import Drawing
-from gpcjax.report.tables import Sheet, result_sheets
+from gpcjax.report.tables import result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
@@ -77,23 +77,20 @@ def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
     shown = records.stored(out / ILLUSTRATIONS)
     tested, drawn = claims(results, shown), _figures(results, shown)
     pictures: dict[str, list[Picture]] = {}
-    captions: dict[str, dict[str, str]] = {}
     for (part, name), drawing in drawn.items():
-        figure, svg = drawing.figure, style.image(drawing.figure, "svg")
-        pictures.setdefault(part, []).append(
-            Picture(svg, figure.get_figwidth(), drawing.alternative, drawing.caption)
-        )
-        captions.setdefault(part, {})[name] = drawing.caption
+        pictures.setdefault(part, []).append(style.pictured(drawing, f"figures/{name}.png"))
         make_writable(out / "figures")
         for kind in ("png", "pdf"):
-            write_atomic(out / "figures" / f"{name}.{kind}", style.image(figure, kind))
+            write_atomic(out / "figures" / f"{name}.{kind}", style.image(drawing.figure, kind))
     stored = {name: results[name] for part in PARTS.values() for name in part.experiments if name in results}
-    command = "make reproduce" + (" QUICK=1" if quick else "")
+    commands = ["make reproduce" + (" QUICK=1" if quick else "")]
+    whole = page.page(tested, pictures, _sheets(results), stored, commands, quick)
+    brief = page.page(tested, pictures, {}, stored, commands, quick, brief=True)
     write_atomic(out / "claims.csv", page.csv_of(tested))
-    write_atomic(out / "claims.md", page.markdown(tested))
-    write_atomic(out / "report.md", page.markdown_report(tested, captions, stored, [command]))
+    write_atomic(out / "claims.md", markdown.table(page.claims_table(tested)))
+    write_atomic(out / "report.md", markdown.render(brief))
     report = out / "report.html"
-    write_atomic(report, page.page(tested, pictures, _sheets(results), stored, [command], quick))
+    write_atomic(report, html.render(whole))
     return report, tested
 
 
@@ -113,7 +110,7 @@ def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:
     source = given.pop("rate_from", None)
     if source is not None:
         rates = offered_rates(out / Path(source.value).name)
-        given["rate_schedule"] = Given(rates, source.where)
+        given["rate_schedule"] = Given(rates, source.source)
     return make_spec(given)
 
 

@@ -2,43 +2,57 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import inspect
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
-from gpcjax.engine.pool import Pool, Start, Tier, tiers
+from gpcjax.describe import LearnerSpec, TeacherSpec
+from gpcjax.engine.history import Credit
+from gpcjax.engine.lanes import Start
+from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
+from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner
-from gpcjax.learners.factory import make_learner
-from gpcjax.learners.presets import SIZES
+from gpcjax.learners.descriptions import CREDIT
+from gpcjax.learners.factory import make_learner, sizes_of
+from gpcjax.registry import find, resolve
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.teachers.oracle import Advisor, Oracle
+from gpcjax.teachers.base import Teacher
+from gpcjax.teachers.oracle import Advisor, synthesised
 
-COACH_TIER = Tier(1, 1, lanes=64)
-"""The one block that COACH needs: it has no dictionary."""
+WIDE = Tier(1, 1, lanes=64)
+"""The one block of learners without a dictionary: nothing of theirs grows."""
 
-_TEACHING = ("active_gain",)
-"""Hyperparameters of the teacher, not of the learner."""
+_OF_THE_EXPERIMENT = ("rate", "error", "delta")
+"""Settings of every sweep, which a teacher is given that has them."""
 
 
 def start_of(cell: Cell) -> Start:
     """The lane of a cell: its numbers, on the host."""
-    learner, teacher = _parts(dataclasses.replace(cell, seed=0))
-    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed)
+    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0))
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
 
 
 @functools.lru_cache(maxsize=1024)
-def _parts(cell: Cell) -> tuple[Learner, Oracle]:
-    """Learner and teacher of a cell, which all seeds share."""
+def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
+    """Learner, teacher and credit of a cell, which all seeds share."""
     values = dict(cell.hyperparameters)
-    options: dict[str, Any] = {name: value for name, value in values.items() if name not in _TEACHING}
-    if cell.algo != "coach":
+    seconds, longest, shape = (values.get(setting.name) for setting in CREDIT)
+    credit = Credit.of(seconds, longest, shape, find("task", cell.env).seconds)
+    return jax.tree.map(np.asarray, (_learner(cell, values), _teacher(cell, values), credit))
+
+
+def _learner(cell: Cell, values: Mapping[str, float]) -> Learner:
+    spec: LearnerSpec = find("learner", cell.algo)
+    names = {setting.name for setting in spec.settings}
+    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    if spec.dictionary:
         first = _tiers(program_of(cell))[0]
         options |= {
             "policy_capacity": first.policy_capacity,
@@ -46,13 +60,24 @@ def _parts(cell: Cell) -> tuple[Learner, Oracle]:
             "sparsify": cell.sparsify,
             "on_full": cell.on_full,
         }
-    learner: Learner = make_learner(cell.algo, cell.env, **options)
-    teacher = _oracle(cell.rate, cell.error, cell.delta, values.get("active_gain", 0.0))
+    return make_learner(cell.algo, cell.env, **options)
+
+
+def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
+    spec: TeacherSpec = find("teacher", cell.teacher)
+    make = resolve(spec.make)
+    takes = inspect.signature(make).parameters
+    names = {setting.name for setting in spec.settings}
+    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options |= {name: getattr(cell, name) for name in _OF_THE_EXPERIMENT if name in takes}
+    if "time_step" in takes:
+        options["time_step"] = find("task", cell.env).seconds
     if cell.rate_schedule:
+        if "schedule" not in takes:
+            raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
         last = cell.rate_schedule[-1:] * cell.episodes
-        rates = jnp.asarray((*cell.rate_schedule, *last)[: cell.episodes])
-        teacher = dataclasses.replace(teacher, schedule=rates)
-    return jax.tree.map(np.asarray, (learner, teacher))
+        options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
+    return make(**options)
 
 
 def make_pool(cell: Cell) -> Pool:
@@ -80,7 +105,7 @@ def make_oracle(
     """The synthesised teacher (Alg. 4) of a task; its numbers are bounded as on the command line.
 
     Args:
-        env_name: "cartpole", "pendulum" or "lunarlander".
+        env_name: as `make_env` takes it.
         expert_name: whose actions it aims at, of `gpcjax.expert_names(env_name)`; the first by default.
         rate: gamma, its chance of advice at a step and action dimension; the least chance if `active_gain` is given.
         error: e, the chance that an advice has the wrong sign.
@@ -93,15 +118,8 @@ def make_oracle(
     expert = make_expert(env_name, expert_names(env_name)[0] if expert_name is None else expert_name)
     given = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
     numbers = {name: checked(name, value, float, OPTIONS[name].allowed) for name, value in given.items()}
-    return Advisor(expert=expert, oracle=_oracle(**numbers), **SIZES[env_name])
-
-
-def _oracle(rate: float, error: float, delta: float, active_gain: float) -> Oracle:
-    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
-    return Oracle(
-        **{name: jnp.asarray(value, float) for name, value in numbers.items()}, active=active_gain > 0
-    )
+    return Advisor(expert=expert, oracle=synthesised(**numbers), **sizes_of(find("task", env_name)))
 
 
 def _tiers(program: Program) -> Sequence[Tier]:
-    return (COACH_TIER,) if program.algo == "coach" else tiers(program.max_capacity)
+    return tiers(program.max_capacity) if find("learner", program.algo).dictionary else (WIDE,)

@@ -8,6 +8,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from gpcjax.errors import UserError
+
 SINGLE_THREADED = {
     "NPROC": "1",  # the size of XLA's thread pools
     "OMP_NUM_THREADS": "1",
@@ -71,6 +73,20 @@ def worker_environment() -> dict[str, str]:
         }
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     return {**environment, **computing_environment(), "PYTHONPATH": path}
+
+
+def refuse_another_environment() -> None:
+    """Rows must not depend on where they are computed: a worker runs with one thread and XLA's options, or not at all.
+
+    Raises:
+        UserError: a variable is not as `computing_environment` has it.
+    """
+    other = [name for name, value in computing_environment().items() if os.environ.get(name) != value]
+    if other:
+        raise UserError(
+            f"this process computes otherwise than workers do ({', '.join(other)}): give its environment the values"
+            " of gpcjax.sweep.environment.computing_environment() before numpy and jax are loaded"
+        )
 
 
 def python(module: str, *words: str) -> list[str]:

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -27,9 +27,10 @@ from gpcjax.allowed import (
     shown,
     suggestion,
 )
-from gpcjax.envs.registry import default_episodes, default_max_capacity, env_names, expert_names
+from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS, CAPACITY, HYPERPARAMETERS, ON_FULL
+from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
+from gpcjax.registry import Kind, built_in, choices, find
 
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
@@ -74,9 +75,10 @@ class Option:
     default: Any = None
     many: bool = False
     series: bool = False
-    algorithms: tuple[str, ...] = ALGORITHMS
     otherwise: str = ""
     """What holds if nobody gives a value, where that is not one `default`."""
+    names: Kind | None = None
+    """What its values are names of."""
 
     @property
     def flag(self) -> str:
@@ -84,27 +86,37 @@ class Option:
         return "--" + self.name.replace("_", "-")
 
 
-_GP = tuple(name for name in ALGORITHMS if name != "coach")
-_ORACLES = tuple(dict.fromkeys(expert for env in env_names() for expert in expert_names(env)))
+def _by_task(default: Callable[[TaskSpec], object]) -> str:
+    return ", ".join(f"{default(find('task', name))} for {name}" for name in built_in("task"))
 
 
-def _by_env(default: Callable[[str], object]) -> str:
-    return ", ".join(f"{default(env)} for {env}" for env in env_names())
+def _named(kind: Kind) -> Anything:
+    return Anything(choices(kind, built_in(kind)))
 
+
+def option_of(setting: Setting) -> Option:
+    """The option that a learner's or a teacher's setting is in a sweep: numbers, of which a list makes more cells."""
+    symbol = f"{setting.symbol}, " if setting.symbol else ""
+    return Option(setting.name, setting.kind, setting.allowed, f"{symbol}{setting.text}", many=True)
+
+
+OF_THE_THESIS = ("gpc", "gpc-ns", "coach")
+"""The learners that are compared where nobody names others."""
 
 EXPERIMENT = (
-    Option("env", str, OneOf(env_names()), "the task"),
-    Option("algo", str, OneOf(ALGORITHMS), "who learns", ALGORITHMS, many=True),
+    Option("env", str, _named("task"), "the task", names="task"),
+    Option("algo", str, _named("learner"), "who learns", OF_THE_THESIS, many=True, names="learner"),
+    Option("teacher", str, _named("teacher"), "who teaches", built_in("teacher")[0], names="teacher"),
     Option("error", float, PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
     Option("seeds", int, COUNT, "how many: seeds 0 to n-1 of everything", 100),
-    Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_env(default_episodes)),
+    Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_task(lambda task: task.episodes)),
     Option(
         "oracle",
         str,
-        OneOf(_ORACLES),
+        Anything("an expert of the task, the folder of a saved policy, or module:function"),
         "whose actions the teacher aims at",
         many=True,
-        otherwise=_by_env(lambda env: expert_names(env)[0]),
+        otherwise=_by_task(lambda task: next(iter(task.experts))),
     ),
     Option("delta", float, NON_NEGATIVE, "the teacher is silent this near to its target", (0.05,), many=True),
     Option("rate", float, PROBABILITY, "(least) chance of advice at a step", (0.05,), many=True),
@@ -118,21 +130,42 @@ EXPERIMENT = (
     ),
 )
 VARIANTS = (
-    Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True, algorithms=_GP),
-    Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error", algorithms=_GP),
+    Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True),
+    Option("on_full", str, OneOf(ON_FULL), "what a full dictionary does", "error"),
     Option(
         "max_capacity",
         int,
         CAPACITY,
         "points in a dictionary at most",
-        algorithms=_GP,
-        otherwise=_by_env(default_max_capacity),
+        otherwise=_by_task(lambda task: task.max_capacity),
     ),
 )
-TUNING = tuple(
-    Option(row.name, float, row.allowed, f"{row.symbol}, {row.text}", many=True, algorithms=row.algorithms)
-    for row in HYPERPARAMETERS.values()
+"""Of learners with dictionaries."""
+
+
+def settings_of(
+    learners: Iterable[LearnerSpec], teachers: Iterable[TeacherSpec]
+) -> dict[str, tuple[Setting, ...]]:
+    """The settings of these and of all learners by name, each as those declare it that have it."""
+    found: dict[str, tuple[Setting, ...]] = {}
+    for setting in (*(each for spec in (*learners, *teachers) for each in spec.settings), *CREDIT):
+        found[setting.name] = (*found.get(setting.name, ()), setting)
+    return found
+
+
+def _tuning(settings: Iterable[Setting]) -> tuple[Option, ...]:
+    """An option for each name among settings."""
+    return tuple({setting.name: option_of(setting) for setting in reversed([*settings])}.values())[::-1]
+
+
+OF_LEARNERS, OF_TEACHERS = (
+    _tuning(setting for name in built_in(kind) for setting in find(kind, name).settings)
+    for kind in ("learner", "teacher")
 )
+"""Of the built-in ones."""
+OF_CREDIT = _tuning(CREDIT)
+TUNING = OF_LEARNERS + OF_TEACHERS + OF_CREDIT
+
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),
     Option("jobs", int, Numbers(1, 1024, whole=True), "processes at once", otherwise="one for each core"),
@@ -146,60 +179,71 @@ RUNNING = (
 OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VARIANTS + TUNING + RUNNING}
 
 
-def parse(option: Option, text: str, where: str) -> Any:
+def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
+    """Whether a setting changes anything for a learner with a teacher."""
+    if name in {option.name for option in VARIANTS}:
+        return learner.dictionary
+    mine = {setting.name for setting in (*learner.settings, *CREDIT)}
+    theirs = {setting.name for setting in teacher.settings if learner.uncertain or not setting.uncertain}
+    return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
+
+
+def parse(option: Option, text: str, source: str) -> Any:
     """The checked value of a flag's `text`, a comma list where the option takes many."""
     words = [word.strip() for word in text.split(",")] if option.many or option.series else [text]
     if "" in words:
-        raise UserError(f"{where} {shown(text)}: an empty value, give {option.allowed}")
-    return _checked(option, [_from_word(option, word, where) for word in words], where)
+        raise UserError(f"{source} {shown(text)}: an empty value, give {option.allowed}")
+    return _checked(option, [_from_word(option, word, source) for word in words], source)
 
 
-def accept(option: Option, value: Any, where: str) -> Any:
+def accept(option: Option, value: Any, source: str) -> Any:
     """The checked form of a `value` from TOML or Python."""
     if isinstance(value, os.PathLike):
         value = os.fspath(value)
     value = plain(value)
     if option.kind is str and isinstance(value, str):
-        return parse(option, value, where)
-    values = entries(where, value, LARGEST + 1) if option.many or option.series else None
+        return parse(option, value, source)
+    values = entries(source, value, LARGEST + 1) if option.many or option.series else None
     if values is None:
-        return _checked(option, [value], where)
+        return _checked(option, [value], source)
     if not values:
-        raise UserError(f"{where} []: the list is empty, give {option.allowed}")
+        raise UserError(f"{source} []: the list is empty, give {option.allowed}")
     if len(values) > LARGEST:
-        raise UserError(f"{where}: more than {LARGEST:,} values, give fewer")
-    return _checked(option, values, where)
+        raise UserError(f"{source}: more than {LARGEST:,} values, give fewer")
+    return _checked(option, values, source)
 
 
-def _from_word(option: Option, word: str, where: str) -> Any:
+def _from_word(option: Option, word: str, source: str) -> Any:
     """A word as `option.kind` has it; not a number is refused here, a number that is not allowed later."""
     if option.kind is str:
         return word
     try:
         number = option.kind(word) if option.kind is int else Written(word.strip())
     except ValueError:
-        _refuse(option, word, where)
+        _refuse(option, word, source)
     grammar = _INTEGER if option.kind is int else _DECIMAL
     if grammar.fullmatch(word.strip()) or (option.kind is float and not math.isfinite(number)):
         return number
-    _refuse(option, word, where)
+    _refuse(option, word, source)
 
 
-def _checked(option: Option, values: list[Any], where: str) -> Any:
+def _checked(option: Option, values: list[Any], source: str) -> Any:
     checked = []
     for value in values:
         one = None if isinstance(value, Written) and value.lost else converted(option.kind, value)
         if one is None or not option.allowed.admits(one):
-            _refuse(option, value, where)
+            _refuse(option, value, source)
+        if option.names:
+            find(option.names, one, source)
         checked.append(one)
     if option.series:
         return tuple(checked)
     return tuple(dict.fromkeys(checked)) if option.many else checked[0]
 
 
-def _refuse(option: Option, value: Any, where: str) -> NoReturn:
+def _refuse(option: Option, value: Any, source: str) -> NoReturn:
     if isinstance(value, Written) and value.lost:
-        raise UserError(f"{where} {shown(value)}: too small for a number in float64, give {option.allowed}")
+        raise UserError(f"{source} {shown(value)}: too small for a number in float64, give {option.allowed}")
     choices = option.allowed.choices if isinstance(option.allowed, OneOf) and option.kind is str else ()
     near = suggestion(value, choices) if choices else ""
-    raise UserError(f"{where} {shown(value)}: give {option.allowed}{near}")
+    raise UserError(f"{source} {shown(value)}: give {option.allowed}{near}")

@@ -3,7 +3,8 @@
 For each task the teacher of its `gpc` oracles is the expert that no learner made, without errors. Kept are the first of
 seeds 0, 1, 2, ... whose final policies, over 100 starts, do no worse than one standard error below that expert; as many
 as the task has `gpc` oracles. Its `network` learns by reinforcement, from the task's reward alone (`gpcjax.sweep.ppo`):
-the first of seeds 0, 1, 2, ... that is as good is kept.
+the first of seeds 0, 1, 2, ... that is as good is kept. Tasks of brax are trained by brax
+(`gpcjax.sweep.brax_oracles`); what does not ship goes into the folder `oracles/`.
 
 Run as `python -m gpcjax.sweep.oracles ENV...`, on one thread like all that is recorded (`gpcjax.sweep.executors`).
 """
@@ -24,6 +25,7 @@ from gpcjax.engine.pool import Finished
 from gpcjax.envs.registry import make_env, make_expert, shipped
 from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.saved import save_controller, shipped_path
+from gpcjax.sweep.brax_oracles import trained
 from gpcjax.sweep.build import make_pool, start_of
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.ppo import Training, train
@@ -57,7 +59,9 @@ def build(envs: Iterable[str]) -> None:
         RuntimeError: too few of the seeds were good enough.
     """
     for name in envs:
-        if shipped(name):
+        if name.startswith("brax:"):
+            _train(name)
+        elif shipped(name):
             _build(name)
         else:
             print(f"{name}: its oracle is no learned policy")
@@ -70,6 +74,18 @@ def _build(env_name: str) -> None:
     network = folders.pop("network")
     _teach(env_name, expert_name, list(folders.values()), target)
     _reinforce(env_name, expert_name, network, target)
+
+
+def _train(env_name: str) -> None:
+    """A network for a task of brax; into the package where it ships, otherwise into a folder here."""
+    controller, provenance = trained(env_name.removeprefix("brax:"))
+    for name in shipped(env_name).values():
+        _ship(name, controller, provenance)
+        return
+    path = Path("oracles", env_name.replace(":", "-"))
+    shutil.rmtree(path, ignore_errors=True)
+    save_controller(path, controller, provenance)
+    print(f"{env_name}: return {provenance['return_mean']:.1f} over {STARTS} starts; use it as ORACLE={path}")
 
 
 def _teach(env_name: str, teacher: str, names: list[str], target: np.ndarray) -> None:

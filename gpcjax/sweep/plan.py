@@ -1,18 +1,20 @@
 """From a specification to its cells, each a single run with one seed. Loads no jax."""
 
+import functools
 import hashlib
 import itertools
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import HYPERPARAMETERS
-from gpcjax.sweep.options import LARGEST, OPTIONS
-from gpcjax.sweep.spec import SweepSpec, as_dict
+from gpcjax.registry import find
+from gpcjax.sweep.options import LARGEST, OPTIONS, concerns, settings_of
+from gpcjax.sweep.spec import ORACLE, SweepSpec, as_dict
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Cell:
     sparsify: bool
     on_full: str
     max_capacity: int
+    teacher: str = ORACLE
 
 
 class Program(NamedTuple):
@@ -45,15 +48,14 @@ class Program(NamedTuple):
     sparsify: bool
     on_full: str
     max_capacity: int
-    policy_nu: float | None
-    static_rate: bool
-    active: bool
     scheduled: bool
+    teacher: str
+    compiled: tuple[tuple[str, float | bool | None], ...]
+    """What of the settings is compiled in, by name."""
 
 
 def program_of(cell: Cell) -> Program:
     """The program that runs `cell`: cells that differ in numbers alone share one."""
-    values = dict(cell.hyperparameters)
     return Program(
         env=cell.env,
         algo=cell.algo,
@@ -62,10 +64,22 @@ def program_of(cell: Cell) -> Program:
         sparsify=cell.sparsify,
         on_full=cell.on_full,
         max_capacity=cell.max_capacity,
-        policy_nu=values.get("policy_nu"),
-        static_rate="static_rate" in values,
-        active=values.get("active_gain", 0.0) > 0.0,
         scheduled=bool(cell.rate_schedule),
+        teacher=cell.teacher,
+        compiled=_compiled_in(cell.algo, cell.teacher, cell.hyperparameters),
+    )
+
+
+@functools.lru_cache(maxsize=4096)
+def _compiled_in(
+    algo: str, teacher: str, given: tuple[tuple[str, float], ...]
+) -> tuple[tuple[str, float | bool | None], ...]:
+    values = dict(given)
+    settings = settings_of([find("learner", algo)], [find("teacher", teacher)])
+    return tuple(
+        (name, each.in_program(values.get(name)))
+        for name, (each, *_) in settings.items()
+        if each.compiled != "no"
     )
 
 
@@ -91,6 +105,7 @@ def plan(spec: SweepSpec) -> list[Cell]:
             sparsify=spec.sparsify,
             on_full=spec.on_full,
             max_capacity=spec.max_capacity,
+            teacher=spec.teacher,
         )
         for algo in spec.algo
         for oracle, point, error, delta, rate, seed in itertools.product(
@@ -131,7 +146,7 @@ def hash_of(specification: Mapping[str, Any]) -> str:
 
 def default_out(spec: SweepSpec) -> Path:
     """Where a sweep goes if nobody says."""
-    return Path("runs", f"{spec.env}-{specification_hash(spec)}")
+    return Path("runs", f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', spec.env)}-{specification_hash(spec)}")
 
 
 def canonical(value: object) -> object:
@@ -145,8 +160,9 @@ def canonical(value: object) -> object:
 
 
 def _axes(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
+    learner, teacher = find("learner", algo), find("teacher", spec.teacher)
     named = spec.hyperparameters.items()
-    return {name: values for name, values in named if algo in HYPERPARAMETERS[name].algorithms}
+    return {name: values for name, values in named if concerns(name, learner, teacher)}
 
 
 def _points(spec: SweepSpec, algo: str) -> list[tuple[tuple[str, float], ...]]:

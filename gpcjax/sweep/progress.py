@@ -13,7 +13,7 @@ from typing import Any, TextIO, cast
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gpcjax.envs.registry import on_host
+from gpcjax.registry import find
 from gpcjax.sweep import costs
 from gpcjax.sweep.plan import Program
 
@@ -114,7 +114,7 @@ def least_to_join(env: str) -> int:
 
     Where the host simulates, one is enough: its steps take longer than any compilation.
     """
-    return 1 if on_host(env) else JOIN
+    return 1 if find("task", env).on_host else JOIN
 
 
 def seconds_left(works: Sequence[Work], jobs: int) -> float:
@@ -123,7 +123,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     A program that has been seen for a while costs what it did so far, in seconds a step; another one what
     `costs` says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
     they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
-    as `executors` hands it out: a program each, and those who have no more join the one with most left.
+    as `sharing` hands it out: a program each, and those who have no more join the one with most left.
     """
     if all(work.finished >= work.cells and not work.workers for work in works):
         return 0.0
@@ -131,7 +131,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else 1.0
     begun = [work for work in works if work.steps]
-    usual_compiling = sum(costs.COMPILING[work.algo] * work.joined for work in begun)
+    usual_compiling = sum(costs.compiling(work.algo) * work.joined for work in begun)
     compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
 
     bound, free, to_compile = {}, {}, {}
@@ -146,13 +146,13 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         )
         of_free = work.steps_free / work.steps_left if work.steps else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = costs.COMPILING[work.algo] * compiling
+        to_compile[index] = costs.compiling(work.algo) * compiling
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = costs.COMPILING[work.algo] * compiling
+        compile_left = costs.compiling(work.algo) * compiling
         if stepping or work.steps:  # it joined another; since when is not known
             compile_left /= 2
         else:

@@ -10,7 +10,7 @@ import gpcjax
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, stopping
-from gpcjax.sweep.executors import Executors, Totals
+from gpcjax.sweep.executors import Desk, Executor, Processes, Totals
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
@@ -41,12 +41,13 @@ UNKNOWN = "unknown, the manifest that said it was lost"
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
-def sweep(out: Any = None, jobs: Any = 1, **settings: Any) -> Path:
+def sweep(out: Any = None, jobs: Any = 1, executor: Any = None, **settings: Any) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
 
     Args:
         out: the path of the run folder, or None for `runs/ENV-HASH`.
         jobs: processes at once, a whole number as on the command line.
+        executor: what runs the workers, in the place of so many processes (`gpcjax.sweep.executors`).
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
 
     Raises:
@@ -56,13 +57,17 @@ def sweep(out: Any = None, jobs: Any = 1, **settings: Any) -> Path:
     spec = spec_of(**settings)
     folder = default_out(spec) if out is None else checked_path("out", out)
     jobs = checked("jobs", jobs, int, OPTIONS["jobs"].allowed)
+    if not isinstance(executor, Executor | None):
+        raise UserError(f"executor {executor!r}: give an object with `jobs` and `run(desk)`, as InProcess()")
+    if executor is not None and jobs != 1:
+        raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
     check_sweep(folder, spec)
     make_writable(folder)
-    run(spec, folder, jobs)
+    run(spec, folder, jobs, executor)
     return folder
 
 
-def run(spec: SweepSpec, out: Path, jobs: int) -> None:
+def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None) -> None:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
     Nobody else can write to `out` meanwhile. What is damaged there is set aside with a line on stderr, and computed
@@ -83,7 +88,7 @@ def run(spec: SweepSpec, out: Path, jobs: int) -> None:
         if missing or not manifest["complete"]:
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
-            _Sweep(spec, out, manifest, store, missing, jobs).run()
+            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs)).run()
 
 
 def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
@@ -118,7 +123,7 @@ class _Sweep:
         manifest: dict[str, Any],
         store: Store,
         missing: list[Cell],
-        jobs: int,
+        executor: Executor,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
         self._store, self._missing = store, missing
@@ -126,25 +131,26 @@ class _Sweep:
         self._began = self._flushed = time.monotonic()
         self._rows: list[CellRows] = []
         self._totals = Totals()
-        self._finished, self._jobs = 0, jobs
-        self._bar = Bar(spec.env, len(missing), max(1, min(jobs, len(missing))))
-
-    def run(self) -> None:
-        """Until nothing is missing."""
-        executors = Executors(
-            self._missing,
+        self._finished, self._executor = 0, executor
+        self._desk = Desk(
+            missing,
             baselines=self._missing_baselines(),
-            jobs=self._jobs,
+            jobs=executor.jobs,
             on_rows=self._collect,
             on_baseline=self._keep_baseline,
             on_progress=self._show,
         )
-        self._manifest["jobs"] = self._jobs
+        self._bar = Bar(spec.env, len(missing), self._desk.workers)
+
+    def run(self) -> None:
+        """Until nothing is missing."""
+        self._manifest["jobs"] = self._executor.jobs
         self._save(complete=False)
         with stopping.deferred():
             with self._bar:
                 try:
-                    executors.run()
+                    self._executor.run(self._desk)
+                    self._desk.refuse_less()
                 finally:
                     self._flush()
             self._save(complete=True)

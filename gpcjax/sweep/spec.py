@@ -8,10 +8,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.envs.registry import default_episodes, default_max_capacity, expert_names
+from gpcjax.describe import Setting
+from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
-from gpcjax.sweep.options import EXPERIMENT, OPTIONS, VARIANTS, Written, accept
+from gpcjax.lateness import CREDIT, DELAY
+from gpcjax.lateness import check as check_lateness
+from gpcjax.registry import find
+from gpcjax.sweep.options import (
+    EXPERIMENT,
+    OPTIONS,
+    TUNING,
+    VARIANTS,
+    Written,
+    accept,
+    concerns,
+    option_of,
+    parse,
+    settings_of,
+)
+
+ORACLE = OPTIONS["teacher"].default
+"""The teacher of the thesis (Alg. 4)."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +36,9 @@ class SweepSpec:
     """A sweep: every combination of the tuples, for each seed. `make_spec` and `spec_of` make a checked one."""
 
     env: str
+    """The task, as `gpcjax.registry` finds it."""
     algo: tuple[str, ...]
-    """Learners, of `ALGORITHMS`."""
+    """Learners, likewise."""
     error: tuple[float, ...]
     """Chances that an advice has the wrong sign."""
     seeds: int
@@ -28,7 +46,7 @@ class SweepSpec:
     episodes: int
     """Episodes of each run."""
     oracle: tuple[str, ...]
-    """Experts of `env` whose actions the teacher aims at."""
+    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`."""
     delta: tuple[float, ...]
     """Distances from the target within which the teacher is silent, in units of the action."""
     rate: tuple[float, ...]
@@ -42,14 +60,27 @@ class SweepSpec:
     max_capacity: int
     """Points in a dictionary at most."""
     hyperparameters: Mapping[str, tuple[float, ...]] = field(hash=False)
-    """Values instead of the thesis' tables, by name; only those that were given."""
+    """Values of the learners' and the teacher's settings instead of presets, by name; only those that were given."""
+    teacher: str = ORACLE
+    """Who teaches, as `gpcjax.registry` finds it."""
 
 
 class Given(NamedTuple):
     """A checked value and where it stood, for messages: "--error", or "a.toml: error"."""
 
     value: Any
-    where: str
+    source: str
+
+
+class Unchecked(NamedTuple):
+    """A value of a setting that only a learner or a teacher of the sweep can know: `make_spec` asks them."""
+
+    value: Any
+    source: str
+    key: str
+    """As it was written."""
+    counts: bool = True
+    """Whether it is a setting of this sweep, and not one of a table that is not used."""
 
 
 QUICK = "quick"
@@ -72,7 +103,7 @@ _TOKENS = re.compile(
 )
 
 
-def read_toml(path: Path, quick: bool = False) -> dict[str, Given]:
+def read_toml(path: Path, quick: bool = False) -> dict[str, Given | Unchecked]:
     """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
 
     Raises:
@@ -86,7 +117,10 @@ def read_toml(path: Path, quick: bool = False) -> dict[str, Given]:
     given, fewer = _accepted(table, f"{path}: "), _accepted(small, f"{path}: [{QUICK}] ")
     if quick and not has_small:
         raise UserError(f"{path}: it has no table [{QUICK}]: leave --quick out, or add the table")
-    return given | fewer if quick else given
+    if quick:
+        return given | fewer
+    unused = {name: each for name, each in fewer.items() if isinstance(each, Unchecked) and name not in given}
+    return given | {name: each._replace(counts=False) for name, each in unused.items()}
 
 
 def _read_table(path: Path) -> dict[str, Any]:
@@ -145,61 +179,106 @@ def spec_of(**settings: Any) -> SweepSpec:
     return make_spec(given)
 
 
-def make_spec(given: Mapping[str, Given]) -> SweepSpec:
+def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     """The specification of settings: defaults filled in, and all that must fit together does.
 
     `out`, `jobs` and `rate_from` may be among the settings; they are no part of it.
 
     Raises:
-        UserError: no env, an oracle that the env has not, or a setting that would change nothing.
+        UserError: no env, an oracle that the env has not, a setting that nobody has, or one that would change nothing.
     """
     if "env" not in given:
         raise UserError(f"no env: give {OPTIONS['env'].allowed} (--env, or env = in the TOML file)")
-    value = {name: setting.value for name, setting in given.items()}
-    env, algo = value["env"], value.get("algo", ALGORITHMS)
-    for oracle in value.get("oracle", ()):
-        if oracle not in expert_names(env):
-            allowed = " or ".join(expert_names(env))
-            raise UserError(f"{given['oracle'].where} {shown(oracle)}: give {allowed} for {env}")
-    for name, setting in given.items():
-        concerned = OPTIONS[name].algorithms
-        if not set(concerned) & set(algo):
-            alone = f"with {' and '.join(algo)} alone it changes nothing"
-            raise UserError(f"{setting.where}: {alone}, give it with {' or '.join(concerned)}")
-    if "static_rate" in given and "constant_rate" in given:
-        where = given["constant_rate"].where
-        raise UserError(f"{where}: beside static_rate it changes nothing, give one of the two")
-    if "rate_schedule" in given and "rate" in given:
+    settings = {name: setting.value for name, setting in given.items() if isinstance(setting, Given)}
+    task = find("task", settings["env"])
+    algo = settings.get("algo", OPTIONS["algo"].default)
+    learners = [find("learner", name) for name in algo]
+    teacher = find("teacher", settings.get("teacher", ORACLE))
+    own = settings_of(learners, [teacher])
+    known = {name: _known(name, setting, own) for name, setting in given.items()}
+    known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}
+    value = {name: setting.value for name, setting in known.items()}
+    if teacher.action_size is not None and task.sizes and task.sizes[1] != teacher.action_size:
         raise UserError(
-            f"{given['rate'].where}: beside rate_schedule it changes nothing, give one of the two"
+            f"teacher {teacher.name}: it advises on {teacher.action_size} action dimensions, "
+            f"{task.name} has {task.sizes[1]}"
+        )
+    for oracle in value.get("oracle", ()):
+        check_expert(task.name, oracle, known["oracle"].source)
+    if "oracle" not in value and not task.experts:
+        raise UserError(
+            f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
+            "(--oracle, or oracle = in the TOML file)"
+        )
+    for name, setting in known.items():
+        if not any(concerns(name, learner, teacher) for learner in learners):
+            alone = f"with {' and '.join(algo)} alone it changes nothing"
+            others = [
+                each for each in OPTIONS["algo"].default if concerns(name, find("learner", each), teacher)
+            ]
+            raise UserError(
+                f"{setting.source}: {alone}, give it with {' or '.join(others) or 'another teacher'}"
+            )
+    if "static_rate" in known and "constant_rate" in known:
+        source = known["constant_rate"].source
+        raise UserError(f"{source}: beside static_rate it changes nothing, give one of the two")
+    if "rate_schedule" in known and "rate" in known:
+        raise UserError(
+            f"{known['rate'].source}: beside rate_schedule it changes nothing, give one of the two"
         )
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
-        "episodes": default_episodes(env),
-        "oracle": expert_names(env)[:1],
-        "max_capacity": default_max_capacity(env),
+        "episodes": task.episodes,
+        "oracle": tuple(task.experts)[:1],
+        "max_capacity": task.max_capacity,
         "rate_schedule": (),
     }
-    settings = {name: value.get(name, default) for name, default in defaults.items()}
-    settings["hyperparameters"] = {name: value[name] for name in HYPERPARAMETERS if name in value}
-    return SweepSpec(**settings)
+    fields = {name: value.get(name, default) for name, default in defaults.items()}
+    ours = [option.name for option in TUNING]
+    fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
+    places = {name: setting.source for name, setting in known.items()}
+    for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
+        check_lateness(names, fields["hyperparameters"], places, task.seconds)
+    return SweepSpec(**fields)
+
+
+def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Setting, ...]]) -> Given:
+    """The setting, checked by those of the sweep that have it, if it is none of the built-in ones."""
+    if isinstance(setting, Given):
+        if name in own and name in OPTIONS:  # its bounds may be others where somebody else has the same word
+            for each in own[name]:
+                accept(option_of(each), setting.value, setting.source)
+        return setting
+    if name not in own:
+        known = list(dict.fromkeys([*OPTIONS, *own]))
+        key, near = shown(setting.key), suggestion(name, known)
+        prefix = setting.source.removesuffix(setting.key)
+        raise UserError(f"{prefix}{key} is no setting{near}: give {', '.join(known)}")
+    read = parse if isinstance(setting.value, str) else accept
+    first, *others = (read(option_of(each), setting.value, setting.source) for each in own[name])
+    return Given(others[-1] if others else first, setting.source)
 
 
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
-    """The specification as JSON has it: lists for tuples."""
-    return _lists(asdict(spec))
+    """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
+    later = {"teacher": ORACLE}
+    entries = asdict(spec).items()
+    return _lists({name: value for name, value in entries if name not in later or value != later[name]})
 
 
-def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given]:
+def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:
     """The settings of a table, each checked alone; dashes and underscores in a key are one."""
-    accepted: dict[str, Given] = {}
+    accepted: dict[str, Given | Unchecked] = {}
     for key, value in table.items():
-        name, where = key.replace("-", "_"), f"{prefix}{key}"
-        if name not in OPTIONS:
+        name, source = key.replace("-", "_"), f"{prefix}{key}"
+        if name in accepted:
+            raise UserError(f"{source} is given twice, with a dash and with an underscore: give it once")
+        if isinstance(value, Mapping) and name not in OPTIONS:
             near = suggestion(name, OPTIONS)
             raise UserError(f"{prefix}{shown(key)} is no setting{near}: give {', '.join(OPTIONS)}")
-        if name in accepted:
-            raise UserError(f"{where} is given twice, with a dash and with an underscore: give it once")
-        accepted[name] = Given(accept(OPTIONS[name], value, where), where)
+        if name in OPTIONS:
+            accepted[name] = Given(accept(OPTIONS[name], value, source), source)
+        else:
+            accepted[name] = Unchecked(value, source, key)
     return accepted
 
 

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
-from gpcjax.learners.hyperparameters import ALGORITHMS
+from gpcjax.registry import built_in, find
 from gpcjax.sweep.atomic import clean, write_atomic
 from gpcjax.sweep.parts import IDENTITY, Found, Origin, cells_of, is_ours, orphans, sealed, whole_parts
 from gpcjax.sweep.plan import Cell
@@ -62,6 +62,8 @@ class CellRows(NamedTuple):
     """The measurements of `gpcjax.engine.lanes.EpisodeRows`, [e] each."""
     corrections: dict[str, np.ndarray]
     """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
+    own: Mapping[str, np.ndarray] = {}
+    """What the learner measures besides, [e] each."""
 
 
 class Store:
@@ -139,8 +141,9 @@ class Store:
         parts = [row.episodes for row in rows]
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         corrections = joined["corrections"]
-        coach = np.repeat([row.cell.algo == "coach" for row in rows], [len(row.episode) for row in rows])
-        none = np.zeros(len(coach), bool)
+        lengths = [len(row.episode) for row in rows]
+        without = np.repeat([not find("learner", row.cell.algo).dictionary for row in rows], lengths)
+        none = np.zeros(len(without), bool)
         asked = joined["asked"]
         columns = {
             "episode": pa.array(np.concatenate([row.episode for row in rows]).astype(np.int32)),
@@ -150,13 +153,20 @@ class Store:
             "mean_rate": _mean(joined["rate_sum"], corrections),
             "asked": _integers(asked, none),
             "chance": _mean(joined["chance_sum"], asked),
-            "policy_points": _integers(joined["policy_points"], coach),
-            "human_points": _integers(joined["human_points"], coach),
+            "policy_points": _integers(joined["policy_points"], without),
+            "human_points": _integers(joined["human_points"], without),
             "clipped": _integers(joined["clipped"], none),
             "full": _integers(joined["full"], none),
             "status": pa.array([status for row in rows for status in row.status]),
         }
-        return self._table(rows, [len(row.episode) for row in rows], columns)
+        for name in sorted({name for row in rows for name in row.own} - columns.keys()):
+            none_of_it = [np.full(length, np.nan) for length in lengths]
+            values = np.concatenate(
+                [row.own.get(name, none) for row, none in zip(rows, none_of_it, strict=True)]
+            )
+            absent = np.repeat([name not in row.own for row in rows], lengths)
+            columns[name] = pa.array(values, mask=absent)
+        return self._table(rows, lengths, columns)
 
     def _correction_table(self, rows: Sequence[CellRows]) -> pa.Table:
         counts = [len(row.corrections["where"]) for row in rows]
@@ -231,7 +241,9 @@ def read(out: Path, say: Say = warn) -> Rows:
         )
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return Rows(
-        _frame(episodes, ["episode"]), _frame(corrections, ["episode", "step", "action_dim"]), manifest
+        _frame(episodes, varying, ["episode"]),
+        _frame(corrections, [*map(_correction_column, varying)], ["episode", "step", "action_dim"]),
+        manifest,
     )
 
 
@@ -263,7 +275,7 @@ def load(out: Any) -> pd.DataFrame:
     | mean_rate | float | normalised action | mean learning rate of these; null without any |
     | asked | int | steps | at which the teacher's coins allowed advice |
     | chance | float | | mean chance of advice at these; null without any |
-    | policy_points, human_points | int | points | in the dictionaries at the episode's end; null for COACH |
+    | policy_points, human_points | int | points | in the dictionaries at the episode's end; null for learners without |
     | clipped | int | steps | whose action was outside [-1, 1] |
     | full | int | | corrections that met a full dictionary |
     | status | str | | "ok", or why the run ended after this episode |
@@ -287,8 +299,8 @@ def load_corrections(out: Any) -> pd.DataFrame:
     | step | int | steps | of the episode, from 0 |
     | action_dim | int | | which dimension of the action was corrected |
     | rate | float | normalised action | learning rate: from the action to its target |
-    | sigma_policy | float | normalised action | the policy's deviation before the correction; null for COACH |
-    | sigma_human | float | advice | the same of the human model; null for COACH |
+    | sigma_policy | float | normalised action | the policy's deviation before the correction, null without |
+    | sigma_human | float | advice | the same of the human model; null for learners without |
     | appended, replaced, full | bool | | what became of the point in the policy's dictionary |
     | delta, advice_rate, ... | float | as the setting | as in `load`; `advice_rate` is the setting `rate` |
 
@@ -316,13 +328,14 @@ def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]])
     return table.filter(pa.array([key in cells for key in each], pa.bool_()))
 
 
-def _frame(tables: Sequence[pa.Table], order: list[str]) -> pd.DataFrame:
+def _frame(tables: Sequence[pa.Table], varying: Sequence[str], order: Sequence[str]) -> pd.DataFrame:
+    """All rows; what a learner measures besides has no part in their order."""
     if not tables:
         return pd.DataFrame()
     frame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
-    ranks = {name: rank for rank, name in enumerate(ALGORITHMS)}
-    after = list(frame.columns)[list(frame.columns).index("status" if "status" in frame else "full") + 1 :]
-    keys = ["algo", "oracle", "error", *after, "seed", *order]
+    others = sorted({*frame["algo"]} - {*built_in("learner")})
+    ranks = {name: rank for rank, name in enumerate([*built_in("learner"), *others])}
+    keys = ["algo", "oracle", "error", *varying, "seed", *order]
     return frame.sort_values(
         keys, key=lambda column: column.map(ranks) if column.name == "algo" else column, kind="stable"
     ).reset_index(drop=True)

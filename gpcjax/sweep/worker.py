@@ -1,22 +1,16 @@
-"""A process that runs cells: it asks for programs and cells over a connection, and sends rows back.
+"""What a worker does, wherever it runs: it asks for programs and cells, and hands in rows.
 
-Started by `gpcjax.sweep.executors` as `python -m gpcjax.sweep.worker DESCRIPTOR`. It computes on one thread, whatever
-the number of processes: XLA's arithmetic may depend on how it splits work.
-
-Messages to the parent: ("ready",), ("next", cells wanted), ("rows", CellRows), ("progress", Totals),
-("compiling", whether), ("baseline", name, numbers), ("failed", line, full text or ""). Answers: ("program", Cell),
-("cells", list of Cell, empty if there are no more), ("baseline", env, name), ("stop",).
+What it says and what it is answered is listed in `gpcjax.sweep.executors.base`.
 """
 
 import ctypes
 import gc
-import os
-import signal
-import sys
+import threading
 import time
 import traceback
 from collections import deque
-from multiprocessing.connection import Connection
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import jax
 import numpy as np
@@ -27,9 +21,10 @@ from gpcjax.engine.pool import Finished, Pool, Start
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Status
-from gpcjax.sweep import stopping
 from gpcjax.sweep.build import make_pool, start_of
-from gpcjax.sweep.executors import FEWER, NO_MEMORY, Totals
+from gpcjax.sweep.environment import refuse_another_environment
+from gpcjax.sweep.executors.base import Message, Say, Totals
+from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.store import CellRows
 
@@ -37,24 +32,45 @@ REPORT_SECONDS = 0.25
 BASELINE_STARTS = 100
 
 
-class Worker:
-    """One connection's work."""
+def work(say: Say) -> bool:
+    """Works until it is told to stop; False if it failed, which it has said then.
 
-    def __init__(self, connection: Connection):
-        self._connection = connection
+    Args:
+        say: takes a message to the desk and gives its answer. What it raises is let through.
+    """
+    worker = _Worker(say)
+    try:
+        with telling_of_compilations(say):
+            refuse_another_environment()
+            worker.run()
+    except Exception as error:
+        if error is worker.unheard:
+            raise
+        say(("failed", *told(error)))
+        return False
+    return True
+
+
+class _Worker:
+    """What one worker has done."""
+
+    def __init__(self, say: Say):
+        self._to_desk = say
+        self.unheard: BaseException | None = None
+        """What the desk, or the way to it, raised: no error of the worker's own."""
         self._done = Totals()
         self._reported = 0.0
         self._compiled = 0
 
     def run(self) -> None:
-        """Serves until the parent says stop."""
+        """Until the desk says stop."""
         while True:
-            match self._ask("ready"):
+            match self._say(("ready",)):
                 case ("program", Cell() as cell):
                     self._teach(cell)
                     give_back_memory()
                 case ("baseline", str() as env, str() as name):
-                    self._connection.send(("baseline", name, baseline(env, name)))
+                    self._say(("baseline", name, baseline(env, name)))
                 case _:
                     return
 
@@ -64,16 +80,16 @@ class Worker:
 
         def next_start() -> Start | None:
             if not cells:
-                cells.extend(self._ask("next")[1])
+                cells.extend(self._more())
             return start_of(cells.popleft()) if cells else None
 
         def deliver(finished: Finished) -> None:
-            self._connection.send(("rows", rows_of(finished.name, finished.lane)))
+            self._say(("rows", rows_of(finished.name, finished.lane)))
 
         self._compiled = 0
         pool.run(next_start, deliver, lambda: self._look(pool))
         self._done = self._progress(pool)
-        self._connection.send(("progress", self._done))
+        self._say(("progress", self._done))
 
     def _look(self, pool: Pool) -> None:
         if pool.counters.compilations > self._compiled:
@@ -81,7 +97,7 @@ class Worker:
             give_back_memory()
         if time.monotonic() - self._reported > REPORT_SECONDS:
             self._reported = time.monotonic()
-            self._connection.send(("progress", self._progress(pool)))
+            self._say(("progress", self._progress(pool)))
 
     def _progress(self, pool: Pool) -> Totals:
         done, counters = self._done, pool.counters
@@ -92,9 +108,17 @@ class Worker:
             done.compilations + counters.compilations,
         )
 
-    def _ask(self, question: str) -> tuple:
-        self._connection.send((question,))
-        return self._connection.recv()
+    def _more(self) -> list[Cell]:
+        answer = self._say(("next",))
+        assert answer is not None
+        return answer[1]
+
+    def _say(self, message: Message) -> Message | None:
+        try:
+            return self._to_desk(message)
+        except BaseException as error:
+            self.unheard = error
+            raise
 
 
 def give_back_memory() -> None:
@@ -114,12 +138,18 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
     status = [Status.OK.label] * len(began)
     if began.size:
         status[-1] = Status(int(lane.status)).label
-    episodes = {name: np.asarray(value)[began] for name, value in vars(lane.rows).items()}
+    measured = {name: value for name, value in vars(lane.rows).items() if name != "own"}
+    episodes, own = (
+        {name: np.asarray(value)[began] for name, value in values.items()}
+        for values in (measured, lane.rows.own)
+    )
     logged = int(lane.log.count)
     corrections = {
         name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")
     }
-    return CellRows(cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections)
+    return CellRows(
+        cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections, own=own
+    )
 
 
 def baseline(env_name: str, name: str) -> dict[str, float]:
@@ -128,22 +158,6 @@ def baseline(env_name: str, name: str) -> dict[str, float]:
     policy = idle(env) if name == "idle" else make_expert(env_name, name)
     returns = np.asarray(evaluate(env, policy, BASELINE_STARTS).returns)
     return {"mean": float(returns.mean()), "std": float(returns.std(ddof=1)), "n": BASELINE_STARTS}
-
-
-def main() -> None:
-    """Serves the connection whose descriptor is the one argument."""
-    for number in stopping.SIGNALS:  # they go to the parent, which says when to stop
-        signal.signal(number, signal.SIG_IGN)
-    die_with_parent()
-    connection = Connection(int(sys.argv[1]))
-    tell_of_compilations(connection)
-    try:
-        Worker(connection).run()
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        os._exit(1)  # the parent is gone
-    except Exception as error:
-        connection.send(("failed", *told(error)))
-        raise SystemExit(1) from None
 
 
 def told(error: Exception) -> tuple[str, str]:
@@ -155,24 +169,21 @@ def told(error: Exception) -> tuple[str, str]:
     return line, "" if isinstance(error, OSError | UserError) else "".join(traceback.format_exception(error))
 
 
-def tell_of_compilations(connection: Connection) -> None:
+@contextmanager
+def telling_of_compilations(say: Say) -> Iterator[None]:
     """Sends word when XLA begins with a program and when it is there; one from the cache takes a moment only."""
+    thread = threading.get_ident()  # others of this process may compile as well
 
     def hear(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if threading.get_ident() != thread:
+            return
         if event == "/jax/core/compile/jaxpr_to_mlir_module_duration":  # what comes before
-            connection.send(("compiling", True))
+            say(("compiling", True))
         elif event == "/jax/core/compile/backend_compile_duration":
-            connection.send(("compiling", False))
+            say(("compiling", False))
 
     jax.monitoring.register_event_duration_secs_listener(hear)
-
-
-def die_with_parent() -> None:
-    """Has the kernel kill this process when its parent ends, where it can: during a compilation nobody looks."""
-    prctl = getattr(ctypes.CDLL(None), "prctl", None)  # Linux alone has it
-    if prctl is not None:
-        prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-
-
-if __name__ == "__main__":
-    main()
+    try:
+        yield
+    finally:
+        jax.monitoring.unregister_event_duration_listener(hear)

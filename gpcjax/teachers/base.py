@@ -1,48 +1,84 @@
-"""What a teacher is: someone who may say "more" or "less" to the action that was just taken."""
+"""What a teacher is: someone who may say "more" or "less" to an action that was taken, at once or later."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Int
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-import gpcjax._x64  # noqa: F401
+from gpcjax.moment import Moment
+
+Memory = PyTree
 
 
 class Teacher(eqx.Module):
     """Gives advice on one step of one lane. Leaves and arguments may carry lanes as LAST axes.
 
     A teacher is given one uniform number, a coin, for each step and action dimension, and everything random that it
-    does follows from it: with coins that depend on nothing but (seed, episode, step, dimension) the comparisons
-    between learners are paired, and steps at which the coin forbids advice need no further work.
+    does follows from it and from `Moment.draws`: as these depend on nothing but (seed, episode, step, dimension) the
+    comparisons between learners are paired, and steps at which the coin forbids advice need no further work.
+
+    A teacher of one's own writes `may_advise` and `advise`; all else has a default. One with a memory writes `init`,
+    `watch` and `recalling`; one that speaks of earlier steps `reach` and `about`. Its fields that are numbers become
+    settings of a sweep.
     """
 
-    active: eqx.AbstractVar[bool]
+    active: ClassVar[bool] = False
     """Whether the advice depends on the learner's uncertainty. Static."""
 
-    @abc.abstractmethod
+    reach: ClassVar[int] = 0
+    """How many steps back its advice may be about, at most. Static; those steps are kept of every lane."""
+
+    @property
+    def watches(self) -> bool:
+        """Whether it sees every step, which costs time at each of them. Static."""
+        return type(self).watch is not Teacher.watch
+
+    @property
+    def draws(self) -> bool:
+        """Whether it needs `Moment.draws`. Static."""
+        return self.watches or self.reach > 0
+
+    def init(self) -> Memory:
+        """What it remembers before the first step of a run: a pytree of arrays, of one lane."""
+        return ()
+
+    def watch(self, memory: Memory, moment: Moment) -> Memory:
+        """What it remembers once it has seen this step: called once at every step, before it is asked about it."""
+        return memory
+
     def during(self, episode: Int[Array, "*lanes"]) -> "Teacher":
         """The teacher as it is in one episode (an index from 0); the methods below are asked of that one."""
+        return self
 
-    @abc.abstractmethod
+    def recalling(self, memory: Memory) -> "Teacher":
+        """The teacher as it is with this memory, which may only lower its chance of advice: `may_advise` knows none."""
+        return self
+
     def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Gamma, the chance of advice where sigma_h is this. It may have an axis before those of the lanes."""
+        """Gamma, the chance of advice where sigma_h is this. It may have an axis before those of the lanes.
+
+        NaN, the default, is unknown.
+        """
+        return jnp.full_like(sigma_human, jnp.nan)
 
     @abc.abstractmethod
     def may_advise(
-        self, coins: Float[Array, "action *lanes"], largest_sigma: Float[Array, "*lanes"]
-    ) -> Bool[Array, "action *lanes"]:
-        """Whether advice is possible at all with these coins, if sigma_h is at most `largest_sigma`."""
-
-    @abc.abstractmethod
-    def advise(
         self,
         coins: Float[Array, "action *lanes"],
-        action: Float[Array, "action *lanes"],
-        target: Float[Array, "action *lanes"],
-        sigma_human: Float[Array, "action *lanes"],
-    ) -> Float[Array, "action *lanes"]:
-        """h: -1, 0 or 1 for each action dimension.
+        largest_sigma: Float[Array, "*lanes"],
+        step: Int[Array, "*lanes"],
+    ) -> Bool[Array, "action *lanes"]:
+        """Whether advice is possible at all at this step with these coins, if sigma_h is at most `largest_sigma`."""
 
-        `action` is what was executed, `target` what the teacher would have done; `sigma_human` is the learner's
-        uncertainty, read only by a teacher that is `active`.
+    def about(self, moment: Moment) -> Int[Array, "*lanes"]:
+        """How many steps back the step lies that the advice given at `moment` is about, at most `reach`.
+
+        Before the first step of an episode there is nothing to advise on: then it is silent.
         """
+        return jnp.zeros_like(moment.step)
+
+    @abc.abstractmethod
+    def advise(self, coins: Float[Array, "action *lanes"], moment: Moment) -> Float[Array, "action *lanes"]:
+        """h: -1, 0 or 1 for each action dimension, about `moment`; with the coins of the step at which it is given."""

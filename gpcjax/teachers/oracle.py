@@ -1,16 +1,31 @@
-"""The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3."""
+"""The synthesised teacher: Alg. 4 of the thesis, with the active-learning chance of section 4.1.3.
+
+Beside them what people do that an oracle does not: late advice, attention that comes and goes, a rate that dies.
+"""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from gpcjax.elementary import decay
 from gpcjax.errors import UserError
+from gpcjax.lateness import DELAY, lateness
+from gpcjax.moment import Moment
 from gpcjax.policies.base import ByIdentity, Vector, check_executed, vector
 from gpcjax.teachers.base import Teacher
+
+
+class Memory(eqx.Module):
+    """What an oracle remembers that is not always at its best."""
+
+    attending: Bool[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    """Seen so far, over all episodes."""
 
 
 class Oracle(Teacher):
@@ -19,6 +34,9 @@ class Oracle(Teacher):
     With coin u and chance gamma: advice is given where u < gamma, and it is inverted where u < gamma * e. That is
     Alg. 4 with one draw in place of its two.
 
+    What people are beside that is left out unless it is given: they are late, they do not always look, they tire, and
+    they are wrong about a whole action and not about each of its dimensions.
+
     Fields:
         rate: gamma, or the least chance gamma_c of active learning.
         error: e, the probability that given advice has the wrong sign.
@@ -26,14 +44,48 @@ class Oracle(Teacher):
         active_gain: c_a of (3.6): the chance grows by c_a * sigma_h.
         active: whether the chance depends on sigma_h at all. Static.
         schedule: gamma of each episode in place of `rate`, the last one for all that follow; or None.
+        lateness: (reach,), the chance that advice is about a step less than 1, 2, ..., `reach` steps back; or None.
+        looks_away, looks_back: the chances that attention is lost at a step, and that it comes back; or None.
+        fading: tau: the chance of advice falls as exp(-tau * steps seen); or None (D-COACH's dying rate).
+        willing: what the chance is multiplied by at this moment; or None. `recalling` sets it.
+        whole: a wrong advice has all its signs wrong; otherwise each dimension is wrong for itself. Static.
     """
 
     rate: Float[Array, "*lanes"]
     error: Float[Array, "*lanes"]
     delta: Float[Array, "*lanes"]
     active_gain: Float[Array, "*lanes"]
-    active: bool = eqx.field(static=True)
+    active: bool = eqx.field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     schedule: Float[Array, "episodes *lanes"] | None = None
+    lateness: Float[Array, "reach *lanes"] | None = None
+    looks_away: Float[Array, "*lanes"] | None = None
+    looks_back: Float[Array, "*lanes"] | None = None
+    fading: Float[Array, "*lanes"] | None = None
+    willing: Float[Array, "*lanes"] | None = None
+    whole: bool = eqx.field(static=True, default=False)
+
+    @property
+    def reach(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return 0 if self.lateness is None else self.lateness.shape[0]
+
+    @property
+    def watches(self) -> bool:
+        return self.looks_away is not None or self.fading is not None
+
+    @property
+    def draws(self) -> bool:
+        return self.watches or self.reach > 0 or self.whole
+
+    def init(self) -> Memory | tuple[()]:
+        return Memory(jnp.ones((), bool), jnp.zeros((), jnp.int32)) if self.watches else ()
+
+    def watch(self, memory: Memory, moment: Moment) -> Memory:
+        attending = memory.attending
+        if self.looks_away is not None:
+            assert moment.draws is not None and self.looks_back is not None
+            coin = moment.draws[0]
+            attending = jnp.where(attending, coin >= self.looks_away, coin < self.looks_back)
+        return Memory(attending=attending, steps=memory.steps + 1)
 
     def during(self, episode: Int[Array, "*lanes"]) -> "Oracle":
         if self.schedule is None:
@@ -42,28 +94,92 @@ class Oracle(Teacher):
         rate = jnp.take_along_axis(self.schedule, index[None], axis=0)[0]
         return dataclasses.replace(self, rate=rate, schedule=None)
 
+    def recalling(self, memory: Memory | tuple[()]) -> "Oracle":
+        if not isinstance(memory, Memory):
+            return self
+        willing = jnp.where(memory.attending, 1.0, 0.0)
+        if self.fading is not None:
+            willing = willing * decay(self.fading * (memory.steps - 1))
+        return dataclasses.replace(self, willing=willing)
+
     def chance(self, sigma_human: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Gamma = c_a * sigma_h + gamma_c (section 4.1.3), at most 1."""
         rate, gain = (jnp.broadcast_to(value, sigma_human.shape) for value in (self.rate, self.active_gain))
-        return jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
+        chance = jnp.minimum(gain * sigma_human + rate, 1.0) if self.active else rate
+        return chance if self.willing is None else chance * jnp.broadcast_to(self.willing, chance.shape)
 
     def may_advise(
-        self, coins: Float[Array, "action *lanes"], largest_sigma: Float[Array, "*lanes"]
+        self,
+        coins: Float[Array, "action *lanes"],
+        largest_sigma: Float[Array, "*lanes"],
+        step: Int[Array, "*lanes"],
     ) -> Bool[Array, "action *lanes"]:
         return coins < self.chance(largest_sigma)[None]
 
-    def advise(
-        self,
-        coins: Float[Array, "action *lanes"],
-        action: Float[Array, "action *lanes"],
-        target: Float[Array, "action *lanes"],
-        sigma_human: Float[Array, "action *lanes"],
-    ) -> Float[Array, "action *lanes"]:
-        gamma = self.chance(sigma_human)
-        gap = target - action
+    def about(self, moment: Moment) -> Int[Array, "*lanes"]:
+        if self.lateness is None:
+            return super().about(moment)
+        assert moment.draws is not None
+        return (moment.draws[1][None] >= self.lateness).sum(0, dtype=jnp.int32)
+
+    def advise(self, coins: Float[Array, "action *lanes"], moment: Moment) -> Float[Array, "action *lanes"]:
+        assert moment.target is not None and moment.sigma_human is not None
+        gamma = self.chance(moment.sigma_human)
+        gap = moment.target - moment.action
         sign = jnp.where(jnp.abs(gap) > self.delta[None], jnp.sign(gap), 0.0)
-        inverted = coins < gamma * self.error[None]
+        if self.whole:
+            assert moment.draws is not None
+            inverted = jnp.broadcast_to(moment.draws[2] < self.error, coins.shape)
+        else:
+            inverted = coins < gamma * self.error[None]
         return jnp.where(coins < gamma, jnp.where(inverted, -sign, sign), 0.0)
+
+
+def synthesised(
+    rate: float,
+    error: float,
+    delta: float,
+    active_gain: float = 0.0,
+    schedule: Sequence[float] | None = None,
+    delay: float | None = None,
+    delay_longest: float | None = None,
+    delay_shape: float | None = None,
+    attention: float | None = None,
+    distraction: float | None = None,
+    fading: float | None = None,
+    whole_error: int = 0,
+    time_step: float = 1.0,
+) -> Oracle:
+    """The teacher of Alg. 4: `Oracle` with these numbers; a gain of 0 is no active learning.
+
+    Args:
+        rate, error, delta, active_gain, schedule, fading: see `Oracle`.
+        delay, delay_longest, delay_shape: seconds between a step and the advice about it (`lateness`).
+        attention, distraction: mean seconds that the teacher looks, and looks away, a step at least; the second is the
+            first's if it is not given.
+        whole_error: 1 for `Oracle.whole`.
+        time_step: seconds of a step.
+
+    Raises:
+        UserError: numbers that do not fit together.
+    """
+    numbers = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
+    if attention is None and distraction is not None:
+        raise UserError("distraction: without attention it changes nothing, give both")
+    late = lateness(DELAY, delay, delay_longest, delay_shape, time_step)
+    spells = (attention, attention if distraction is None else distraction)
+    # Spells are geometric: a chance of 1 / n at each step ends one after n steps in the mean.
+    away, back = (None if spell is None else min(time_step / spell, 1.0) for spell in spells)
+    values = {"schedule": schedule, "looks_away": away, "looks_back": back, "fading": fading, **numbers}
+    arrays: dict[str, Any] = {
+        name: None if value is None else jnp.asarray(value, float) for name, value in values.items()
+    }
+    return Oracle(
+        **arrays,
+        active=active_gain > 0,
+        lateness=jnp.cumsum(jnp.asarray(late[:-1])) if len(late) > 1 else None,
+        whole=bool(whole_error),
+    )
 
 
 class Advisor(ByIdentity):
@@ -100,9 +216,15 @@ class Advisor(ByIdentity):
                 raise UserError("this oracle learns actively: give sigma_human, from learner.uncertainty")
             sigma_human = jnp.zeros_like(action)
         coins = jax.random.uniform(key, action.shape)
-        return self.oracle.advise(
-            coins, action, self.target(obs), self._of_actions("sigma_human", sigma_human)
+        moment = Moment(
+            obs=jnp.asarray(vector("obs", obs, self.obs_size, "this oracle")),
+            action=action,
+            episode=jnp.int32(0),
+            step=jnp.int32(0),
+            target=self.target(obs),
+            sigma_human=self._of_actions("sigma_human", sigma_human),
         )
+        return self.oracle.advise(coins, moment)
 
     def _of_actions(self, name: str, value: Vector) -> Float[Array, " action"]:
         return jnp.asarray(vector(name, value, self.action_size, "this oracle"))

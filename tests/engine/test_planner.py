@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax.engine.asking import _targets
 from gpcjax.engine.lanes import fresh
-from gpcjax.engine.teaching import _targets
+from gpcjax.engine.stepping import moment_of
 from gpcjax.policies.base import Planner
 from tests.engine.tasks import EPISODES, Drift, expert, starts
 
@@ -31,6 +32,7 @@ def test_only_lanes_that_wait_are_thought_about():
     block = jax.vmap(lane, out_axes=-1)(keys)
     waiting = jnp.array([False, True, False, True])
     block = dataclasses.replace(block, waiting=waiting)
-    everyone = _targets(block, expert)
+    here = moment_of(block)
+    everyone = _targets(block, expert, here)
     assert (np.asarray(everyone) != 0).all()
-    np.testing.assert_array_equal(_targets(block, Thinker()), jnp.where(waiting[None], everyone, 0.0))
+    np.testing.assert_array_equal(_targets(block, Thinker(), here), jnp.where(waiting[None], everyone, 0.0))

@@ -118,7 +118,7 @@ class TestFull:
 class Always(Oracle):
     """Works out the chance at every step: thinning must not be seen."""
 
-    def may_advise(self, coins, largest_sigma):
+    def may_advise(self, coins, largest_sigma, step):
         return jnp.ones_like(coins, bool)
 
 

@@ -9,18 +9,17 @@ import pytest
 
 from gpcjax.envs.base import Env
 from gpcjax.envs.cartpole import CartPole
-from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic
+from gpcjax.envs.experts import LQR, EnergySwingUp, LanderHeuristic, ValleyPump
 from gpcjax.envs.host import HostEnv
 from gpcjax.envs.predictive import CartPoleMPC, PendulumMPC
 from gpcjax.envs.registry import (
-    ENVS,
-    default_episodes,
-    default_max_capacity,
     env_names,
     expert_names,
     make_env,
     make_expert,
+    task,
 )
+from gpcjax.envs.tasks import TASKS
 from gpcjax.policies.base import Policy
 
 
@@ -50,6 +49,7 @@ def test_parameters_reach_the_env() -> None:
         ("pendulum", "mpc", PendulumMPC),
         ("pendulum", "network", Policy),
         ("lunarlander", "heuristic", LanderHeuristic),
+        ("mountaincar", "pump", ValleyPump),
     ],
 )
 def test_make_expert(env_name: str, expert: str, kind: type) -> None:
@@ -58,29 +58,31 @@ def test_make_expert(env_name: str, expert: str, kind: type) -> None:
 
 def test_names() -> None:
     """The default expert of a task comes first."""
-    assert env_names() == ("cartpole", "pendulum", "lunarlander")
+    assert env_names() == ("cartpole", "pendulum", "lunarlander", "mountaincar")
     assert expert_names("cartpole") == ("gpc", "gpc-2", "gpc-3", "lqr", "network", "mpc")
     assert expert_names("pendulum") == ("gpc", "energy", "network", "mpc")
     assert expert_names("lunarlander") == ("heuristic",)
-    assert [default_episodes(name) for name in env_names()] == [30, 40, 200]
-    assert [default_max_capacity(name) for name in env_names()] == [1024, 1024, 4096]
+    assert expert_names("mountaincar") == ("pump",)
+    assert [task(name).episodes for name in env_names()] == [30, 40, 200, 30]
+    assert [task(name).max_capacity for name in env_names()] == [1024, 1024, 4096, 1024]
 
 
 def test_targets_are_well_formed() -> None:
-    for entry in ENVS.values():
-        for target, *_ in ((entry.target,), *entry.experts.values()):
+    for spec in TASKS:
+        for target, *_ in ((spec.make,), *spec.experts.values()):
             module, attribute = target.split(":")
             assert module.startswith(("gpcjax.envs.", "gpcjax.policies.")) and attribute.isidentifier()
 
 
 def test_unknown_names() -> None:
-    unknown = "unknown environment 'cartpol'; allowed: cartpole, pendulum, lunarlander"
-    calls = make_env, expert_names, default_episodes, default_max_capacity
-    for call in (*calls, lambda name: make_expert(name, "lqr")):
+    unknown = (
+        "env 'cartpol': give cartpole, pendulum, lunarlander, mountaincar, module:NAME, gym:ID or brax:NAME"
+    )
+    for call in (make_env, expert_names, task, lambda name: make_expert(name, "lqr")):
         with pytest.raises(ValueError, match=unknown):
             call("cartpol")
     known = ", ".join(expert_names("cartpole"))
-    with pytest.raises(ValueError, match=f"unknown oracle 'energy' for cartpole; allowed: {known}$"):
+    with pytest.raises(ValueError, match=f"oracle 'energy': give {known}, the folder of a saved policy"):
         make_expert("cartpole", "energy")
     with pytest.raises(
         ValueError, match=r"unknown parameter 'masspole' of cartpole.*; allowed: gravity, .*pole_mass"
@@ -90,6 +92,12 @@ def test_unknown_names() -> None:
         make_env("lunarlander", gravity=-5.0)
     with pytest.raises(ValueError, match="pendulum: max_steps 0: give a whole number from 1"):
         make_env("pendulum", max_steps=0)
+
+
+@pytest.mark.parametrize("name", ["9" * 400, "~nobody-of-this-name/policy", "a\0b", ""])
+def test_a_name_that_no_folder_could_have(name: str) -> None:
+    with pytest.raises(ValueError, match=r"oracle '.*: give gpc, gpc-2, .* the folder of a saved policy"):
+        make_expert("cartpole", name)
 
 
 def test_import_loads_no_jax() -> None:

@@ -12,7 +12,7 @@ import pytest
 from jax.extend import core
 from jax.test_util import check_grads
 
-from gpcjax.gp import factor
+from gpcjax.gp import cholesky
 from gpcjax.gp.fit import log_marginal_likelihood
 from gpcjax.gp.kernels import Kernel
 from gpcjax.learners.factory import make_learner
@@ -124,8 +124,8 @@ def test_derivatives_of_either_mode():
     active = jnp.array([True, True, True, False])
 
     def both(matrix, vector):
-        lower = factor.cholesky((matrix + matrix.T) / 2, active, jnp.array(0.1))
-        return factor.solve(lower, factor.solve(lower, vector), transpose=True), lower
+        lower = cholesky.factor((matrix + matrix.T) / 2, active, jnp.array(0.1))
+        return cholesky.solve(lower, cholesky.solve(lower, vector), transpose=True), lower
 
     check_grads(jax.jit(both), (matrix, vector), order=1, modes=("fwd", "rev"))
     batch = (stacked(matrix, 3), stacked(vector, 3))
@@ -140,7 +140,7 @@ USERS_PROCESS = """
 import threading
 import jax, jax.numpy as jnp, numpy as np
 import gpcjax
-from gpcjax.gp import factor
+from gpcjax.gp import cholesky
 
 rng = np.random.default_rng(0)
 learner = gpcjax.make_learner("gpc-ns", "cartpole", capacity=64)
@@ -152,8 +152,8 @@ for _ in range(30):
 assert not np.asarray(info.status).any() and np.isfinite(states.policy.weights).all()
 
 def several(gram, noise, vector):
-    lowers = [factor.cholesky(gram, jnp.ones(64, bool), noise + i) for i in range(4)]
-    return sum(factor.solve(lower, vector) for lower in lowers)
+    lowers = [cholesky.factor(gram, jnp.ones(64, bool), noise + i) for i in range(4)]
+    return sum(cholesky.solve(lower, vector) for lower in lowers)
 
 together = jax.jit(jax.vmap(several, (None, 0, None)))
 gram, vector = jnp.exp(-jnp.abs(jnp.arange(64.0)[:, None] - jnp.arange(64.0))), jnp.ones(64)

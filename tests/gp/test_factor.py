@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpcjax.gp import factor
+from gpcjax.gp import cholesky, factor, tiles
 from tests.trees import assert_same_bits
 
 CAPACITY = 12
@@ -142,7 +142,7 @@ def put_back(roots, where, root) -> np.ndarray:
 
 @jax.jit
 def put(roots, where, count, index, covariances, noise, given):
-    """What `GaussianProcess` does with a root."""
+    """What `Replacing` does with a root."""
     reading = factor.read(roots, where, count, covariances, index)
     edit = factor.edit(roots, where, count, index, reading, 1.0 + noise, noise)
     return factor.write(roots, where, count, edit, given), edit, reading.column
@@ -218,15 +218,15 @@ def test_what_edit_hands_back_updates_weights():
 
 def borders(capacity: int) -> set[int]:
     """Where tiles end, and on both sides of it."""
-    ends = [*range(0, min(capacity, 3 * factor.ROWS) + 1, factor.ROWS)]
-    ends += [*range(0, capacity + 1, factor.COLUMNS), capacity - capacity % factor.ROWS, capacity]
+    ends = [*range(0, min(capacity, 3 * tiles.ROWS) + 1, tiles.ROWS)]
+    ends += [*range(0, capacity + 1, tiles.COLUMNS), capacity - capacity % tiles.ROWS, capacity]
     return {end + side for end in ends for side in (-1, 0, 1) if 1 <= end + side <= capacity}
 
 
 def counts(capacity: int) -> list[int]:
     """Points of roots with that room: of the borders those that no smaller of the `SIZES` has as well, and a few."""
-    smaller = [size for size in SIZES if factor.COLUMNS < size < capacity]
-    met = set().union(*map(borders, smaller)) - {1, factor.ROWS + 1, factor.COLUMNS, factor.COLUMNS + 1}
+    smaller = [size for size in SIZES if tiles.COLUMNS < size < capacity]
+    met = set().union(*map(borders, smaller)) - {1, tiles.ROWS + 1, tiles.COLUMNS, tiles.COLUMNS + 1}
     return sorted(borders(capacity) - met)
 
 
@@ -245,7 +245,7 @@ def test_on_both_sides_of_the_borders_of_tiles(capacity):
         np.testing.assert_allclose(reading.solved, whole.T @ (whole @ k), atol=1e-11)
         np.testing.assert_allclose(reading.column, whole.T @ whole[:, count - 1], atol=1e-10)
         assert not read(root, (), count, k).column.any()
-        for index in {0, count - 1, min(count, capacity - 1), (count - 1) // factor.ROWS * factor.ROWS}:
+        for index in {0, count - 1, min(count, capacity - 1), (count - 1) // tiles.ROWS * tiles.ROWS}:
             after = Dense(1e-2, capacity, points)
             new, _, _ = after.learn(root, index, point)
             after.check_inverse(new, 1e-11)
@@ -407,13 +407,13 @@ def test_masked_cholesky():
     full = gram(points, 0.0)
     full[:, 7:] = np.nan
     full[7:] = np.nan
-    lower = in_numpy(factor.cholesky)(full, active, NOISE)
+    lower = in_numpy(cholesky.factor)(full, active, NOISE)
     expected = np.eye(CAPACITY)
     expected[:7, :7] = np.linalg.cholesky(full[:7, :7] + NOISE * np.eye(7))
     np.testing.assert_allclose(np.tril(lower), expected, atol=1e-12)
 
     vector = rng.normal(size=CAPACITY)
-    solve = in_numpy(factor.solve, static_argnums=2)
+    solve = in_numpy(cholesky.solve, static_argnums=2)
     np.testing.assert_allclose(expected @ solve(lower, vector), vector, atol=1e-9)
     transposed = solve(lower, vector, True)
     np.testing.assert_allclose(expected.T @ transposed, vector, atol=1e-9)

@@ -12,16 +12,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from gpcjax.gp import factor
+from gpcjax.gp.appending import Appending
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
-from gpcjax.gp.regression import (
-    GaussianProcess,
-    Posterior,
-    Renewed,
-    normalising_scale,
-    small,
-    take,
-    write,
-)
+from gpcjax.gp.posterior import Posterior, small, take
+from gpcjax.gp.process import GaussianProcess
+from gpcjax.gp.renormalised import Renewed, Renormalised, normalising_scale
+from gpcjax.gp.replacing import Replacing
 from tests.trees import assert_close, assert_same_bits
 
 CAPACITY = 16
@@ -31,9 +27,17 @@ WEIGHTS = np.array([1.0, 1 / 6, 2.0])
 each_scaling = pytest.mark.parametrize("normalise", [False, True], ids=["fixed", "normalised"])
 
 
+def kernel_of(smoothness: float = 1.5) -> Kernel:
+    return Kernel(variance=jnp.asarray(0.02), length_scale=jnp.asarray(0.4), smoothness=smoothness)
+
+
 def make(normalise: bool, smoothness: float = 1.5, **options: bool) -> GaussianProcess:
-    kernel = Kernel(variance=jnp.asarray(0.02), length_scale=jnp.asarray(0.4), smoothness=smoothness)
-    return GaussianProcess(kernel, jnp.asarray(NOISE), normalise=normalise, **options)
+    model = Renormalised if normalise else Replacing
+    return model(kernel_of(smoothness), jnp.asarray(NOISE), **options)
+
+
+def appending(smoothness: float = 1.5) -> Appending:
+    return Appending(kernel_of(smoothness), jnp.asarray(NOISE))
 
 
 def empty(process: GaussianProcess, capacity: int = CAPACITY) -> Posterior:
@@ -45,7 +49,7 @@ def _put(process, posteriors, where, point, target, index, given):
     covariances = process.covariances(small(posteriors, where), point)
     reading = process.read(posteriors, where, covariances, index)
     change = process.put(posteriors, where, reading, point, target, index, given)
-    return write(posteriors, where, change)
+    return change.write(posteriors, where)
 
 
 def put(process, posteriors, point, target, index, given=True, where=()) -> Posterior:
@@ -56,15 +60,18 @@ def put(process, posteriors, point, target, index, given=True, where=()) -> Post
 
 @jax.jit
 def _append(process, posteriors, where, point, target, given):
-    deviation, appended = process.append(posteriors, where, point, target)
-    return deviation, write(posteriors, where, appended.only(given))
+    """As a learner does, which knows only afterwards whether what it would learn is a number."""
+    before = small(posteriors, where)
+    reading = process.read(posteriors, where, process.covariances(before, point))
+    change = process.put(posteriors, where, reading, point, target, before.count, jnp.array(True))
+    return reading.deviation, change.only(given).write(posteriors, where)
 
 
 def append(process, posteriors, point, target, given=True, where=()) -> tuple[jax.Array, Posterior]:
     return _append(process, posteriors, where, *map(jnp.asarray, (point, target, given)))
 
 
-uncertainty, taken, written = map(jax.jit, (GaussianProcess.uncertainty, take, write))
+uncertainty, taken, written = map(jax.jit, (GaussianProcess.uncertainty, take, Renewed.write))
 
 
 @jax.jit
@@ -203,9 +210,8 @@ def test_a_model_without_weights_has_the_same_deviations(normalise):
 @pytest.mark.parametrize("capacity", [CAPACITY, 70])
 def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
     """And tells beforehand how uncertain it was; a point that is not given leaves it as it is, be it full or not."""
-    process, full = (
-        make(False, SQUARED_EXPONENTIAL, keeps_weights=False, replaces=replaces) for replaces in (False, True)
-    )
+    process = appending(SQUARED_EXPONENTIAL)
+    full = make(False, SQUARED_EXPONENTIAL, keeps_weights=False)
     posterior, expected = empty(process, capacity), empty(full, capacity)
     rng = np.random.default_rng(7)
     for index in range(capacity):
@@ -268,10 +274,10 @@ def test_one_of_many_places_touches_no_other(normalise, where):
         assert_close(taken(after, place), put(process, posterior, point, 0.5, index), 1e-6)
         assert after.count[where] == max(index + 1, 9)
         renewed = Renewed(posterior, jnp.array(True))
-        assert_same_bits(written(after, place, renewed), posteriors)
+        assert_same_bits(written(renewed, after, place), posteriors)
         assert_same_bits(put(process, posteriors, point, 0.5, index, given=False, where=place), posteriors)
     if not normalise:
-        lean = make(normalise, keeps_weights=False, replaces=False)
+        lean = appending()
         posterior = empty(lean)
         for index in range(9):
             posterior = append(lean, posterior, 0.1 * point * index, 0.5)[1]
@@ -281,7 +287,7 @@ def test_one_of_many_places_touches_no_other(normalise, where):
         np.testing.assert_allclose(deviation, told, rtol=1e-12)
         assert_close(taken(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
         renewed = Renewed(posterior, jnp.array(True))
-        assert_same_bits(written(after, place, renewed), posteriors)
+        assert_same_bits(written(renewed, after, place), posteriors)
         assert_same_bits(append(lean, posteriors, point, 0.5, given=False, where=place)[1], posteriors)
 
 

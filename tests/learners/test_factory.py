@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 
+from gpcjax.learners.descriptions import LEARNERS
 from gpcjax.learners.factory import make_learner
-from gpcjax.learners.hyperparameters import ALGORITHMS, HYPERPARAMETERS
-from gpcjax.learners.presets import PRESETS, SIZES
+from gpcjax.registry import built_in, find
 from tests.reference.domains import DOMAINS
 from tests.trees import assert_same_bits
 
@@ -47,29 +47,32 @@ def test_table_a_1(name):
         np.testing.assert_array_equal(getattr(learner, field), table[key])
 
 
-def test_every_algorithm_has_every_table():
-    assert tuple(PRESETS) == ALGORITHMS
-    assert all(set(tables) == set(SIZES) == set(DOMAINS) for tables in PRESETS.values())
+def test_every_task_of_the_thesis_has_its_sizes():
+    assert set(built_in("task")) >= set(DOMAINS)
+    for name, domain in DOMAINS.items():
+        assert find("task", name).sizes == (domain.obs_size, domain.action_size)
 
 
-@pytest.mark.parametrize("row", HYPERPARAMETERS.values(), ids=lambda row: row.name)
-def test_every_hyperparameter_of_a_sweep_is_an_option(row):
-    """But for the teacher's; and it is refused where it is none of the learner's."""
-    if row.name == "active_gain":
-        return
-    value = 0.5 if row.name == "policy_nu" else 0.123
-    for algo in ALGORITHMS:
-        if algo in row.algorithms:
+SETTINGS = {setting.name for spec in LEARNERS for setting in spec.settings}
+
+
+@pytest.mark.parametrize("name", sorted(SETTINGS))
+def test_every_setting_is_an_option(name):
+    """And it is refused where it is none of the learner's."""
+    kinds = {setting.name: setting.kind for spec in LEARNERS for setting in spec.settings}
+    value = 0.5 if name == "policy_nu" else 7 if kinds[name] is int else 0.123
+    for spec in LEARNERS:
+        if name in {setting.name for setting in spec.settings}:
             learner, usual = (
-                make_learner(algo, "cartpole", **{row.name: value}),
-                make_learner(algo, "cartpole"),
+                make_learner(spec.name, "cartpole", **{name: value}),
+                make_learner(spec.name, "cartpole"),
             )
             assert jax.tree.structure(learner) != jax.tree.structure(usual) or any(
                 (a != b).any() for a, b in zip(jax.tree.leaves(learner), jax.tree.leaves(usual), strict=True)
             )
         else:
-            with pytest.raises(ValueError, match=f"'{row.name}' is not an option of this learner"):
-                make_learner(algo, "cartpole", **{row.name: value})
+            with pytest.raises(ValueError, match=f"'{name}' is not an option of this learner"):
+                make_learner(spec.name, "cartpole", **{name: value})
 
 
 class TestATaskOfOnesOwn:
@@ -121,13 +124,13 @@ GRID = {"lower": (-1, 0), "upper": (1, 2), "counts": (3, 4)}
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        (("gcp", "cartpole"), {}, "algo 'gcp' is not known.*: choose one of gpc, gpc-ns, coach"),
+        (("gcp", "cartpole"), {}, "algo 'gcp': give gpc, gpc-ns, coach, d-coach .*did you mean gpc"),
         (
             ("gpc", "cartpol"),
             {},
-            "env 'cartpol' has no table: choose pendulum, cartpole, lunarlander, or give obs_size",
+            "env 'cartpol': give cartpole, pendulum, .*did you mean cartpole",
         ),
-        (("gpc",), {}, "obs_size and action_size missing: give sizes, or one of the envs"),
+        (("gpc",), {}, "obs_size and action_size missing: give sizes, or a task's name, one of cartpole"),
         (("gpc",), {"obs_size": 3}, "action_size missing"),
         (("gpc",), {"obs_size": 0, "action_size": 1}, "obs_size 0: give a whole number from 1"),
         (("gpc",), {"obs_size": 2.5, "action_size": 1}, "obs_size 2.5: give a whole number"),

@@ -196,6 +196,7 @@ def test_the_first_oracle_is_shipped_wherever_a_task_ships_some():
         "cartpole": ("cartpole", "cartpole-2", "cartpole-3", "cartpole-network"),
         "pendulum": ("pendulum", "pendulum-network"),
         "lunarlander": (),
+        "mountaincar": (),
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
-from gpcjax.report import curves, grids, style
+from gpcjax.report import curves, grids, style, words
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from tests.report import synthetic
@@ -393,3 +393,39 @@ def test_threads_that_draw_at_once_restore_what_was_set():
         for thread in threads:
             thread.join()
         assert sizes == [8.0] and matplotlib.rcParams["font.size"] == 31.0
+
+
+MANY = ("gpc", "gpc-ns", "coach", "d-coach", "drifting:Linear", "mine:A", "mine:B", "_mine:$C$")
+
+
+def test_every_learner_has_a_look_of_its_own():
+    looks = style.looks(MANY)
+    assert tuple(looks) == MANY and len(set(looks.values())) == len(MANY)
+    assert all(looks[name].colour == colour for name, colour in style.ALGORITHM_COLOURS.items())
+    assert len({(look.colour, look.dash) for look in looks.values()}) == len(MANY)
+    twenty = [f"a:L{i}" for i in range(20)]
+    assert len(set(style.looks(twenty).values())) == 20
+    # What is free of the eight colours comes first, the same wherever these learners are compared.
+    assert [look.colour for look in style.looks(("drifting:Linear", "gpc")).values()] == [
+        "#E69F00",
+        "#0072B2",
+    ]
+
+
+def test_learners_that_nobody_knows_are_drawn_and_named():
+    frame = synthetic.episodes(algos=("coach",), errors=(0.0,), seeds=3, length=12)
+    frames = [frame.assign(algo=name, **{"return": frame["return"] + 100 * i}) for i, name in enumerate(MANY)]
+    manifest = synthetic.manifest(frame)
+    manifest["specification"]["algo"] = list(MANY)
+    summary = summarise(gather(pd.concat(frames, ignore_index=True), manifest))
+    figure, *_ = curves.learning_curves(summary)
+    (axis,), (legend,) = figure.axes, figure.legends
+    names = [text.get_text() for text in legend.get_texts()][: len(MANY)]
+    assert names[:5] == ["GPC", "GPC-NS", "COACH", words.algorithm("d-coach"), "drifting:Linear"]
+    assert names[-1] == " _mine:\\$C\\$"
+    for look in style.looks(MANY).values():
+        strong = [line for line in axis.lines if line.get_color() == look.colour and line.get_zorder() == 4]
+        assert any(line.get_marker() == (look.marker or "None") for line in strong)
+    assert {f"{row.group.algo}" for row in summary.leading} == set(MANY)
+    assert len(summary.differences) == 8 * 7 // 2
+    drawn(figure)

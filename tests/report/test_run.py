@@ -180,7 +180,7 @@ def test_what_is_damaged_is_left_out_with_a_line(out, capsys):
 
 def test_a_report_needs_neither_jax_nor_pyplot():
     code = (
-        "import sys, gpcjax.report.run, gpcjax.report.tables\n"
+        "import sys, gpcjax.report.run, gpcjax.report.terminal\n"
         "print({'jax', 'equinox', 'brax', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules))"
     )
     root = Path(gpcjax.__file__).parents[1]
@@ -205,7 +205,7 @@ def test_a_report_is_drawn_whatever_the_environment_says(out, tmp_path_factory):
         "import sys, pathlib, pandas as pd\n"
         "from rich.console import Console\n"
         "from gpcjax.report.run import draw_frames\n"
-        "from gpcjax.report.tables import render\n"
+        "from gpcjax.report.terminal import render\n"
         "from tests.report import synthetic\n"
         "given, out = map(pathlib.Path, sys.argv[1:])\n"
         "frame, rows = (pd.read_parquet(given / f'{name}.parquet') for name in ('frame', 'rows'))\n"
@@ -227,3 +227,13 @@ def test_a_report_is_drawn_whatever_the_environment_says(out, tmp_path_factory):
     assert done.returncode == 0, done.stderr
     assert "2500 +/- 0" in done.stdout
     assert (out / "curves.png").read_bytes() == plain
+
+
+def test_what_a_learner_measures_does_not_order_its_rows(out):
+    frame = synthetic.episodes(seeds=4, errors=(0.0,), length=3, algos=("coach",))
+    frame["loss"] = -1.0 * frame.index  # falls: in its order the last seed would be the first
+    corrections = synthetic.corrections(seeds=4, errors=(0.0,), algos=("coach",))
+    synthetic.write(out, frame, corrections, synthetic.manifest(frame))
+    read = store.read(out).episodes
+    assert read["seed"].tolist() == [0] * 3 + [1] * 3 + [2] * 3 + [3] * 3
+    assert read["loss"].tolist() == frame["loss"].tolist()

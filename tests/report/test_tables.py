@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from gpcjax.report import tables, words
+from gpcjax.report import tables, terminal, words
 from gpcjax.report.groups import gather
 from gpcjax.report.statistics import Interval
 from gpcjax.report.summary import summarise
@@ -13,7 +13,7 @@ from tests.report import synthetic
 
 def printed(summary, width=80):
     stream = io.StringIO()
-    Console(file=stream, width=width).print(tables.render(summary))
+    Console(file=stream, width=width).print(terminal.render(summary))
     return stream.getvalue()
 
 
@@ -79,7 +79,7 @@ def test_tables_print_on_a_stream_of_any_encoding(encoding):
     frame = synthetic.episodes(env="pendulum", seeds=3, oracles=("gpc", "Übung №1"))
     stream = io.BytesIO()
     text = io.TextIOWrapper(stream, encoding=encoding)
-    Console(file=text, width=100).print(tables.render(summary_of(frame)))
+    Console(file=text, width=100).print(terminal.render(summary_of(frame)))
     text.flush()
     shown = stream.getvalue().decode(encoding)
     assert ("-150 +/- 95" if encoding == "ascii" else "-150 ± 95") in shown

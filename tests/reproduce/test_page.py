@@ -6,11 +6,13 @@ from html import escape
 
 import pytest
 
-from gpcjax.report.html import Picture
+from gpcjax.report import html as html_renderer
+from gpcjax.report import markdown as markdown_renderer
+from gpcjax.report.document import Picture
 from gpcjax.report.statistics import Interval
 from gpcjax.report.tables import result_sheets
+from gpcjax.reproduce import page as contents
 from gpcjax.reproduce.claims import claims
-from gpcjax.reproduce.page import markdown, markdown_report, page
 from gpcjax.reproduce.parts import CHANGES, PARTS
 from gpcjax.reproduce.verdicts import ABOVE_ZERO, HOLDS, NOT_SHOWN, REFUTED, Claim
 from gpcjax.reproduce.verdicts import Test as Outcome
@@ -28,12 +30,21 @@ def results():
         "lander": experiment("lunarlander", seeds=4),
         "oracles_cartpole": experiment(oracles=("gpc", "lqr"), deltas=(0.05, 0.1), seeds=4),
     }
+    swept["pendulum"].study.manifest["machine"]["platform"] = "Linux-6.1-of-somebody"
     return swept | table()
 
 
 @pytest.fixture(scope="module")
 def tested(results):
     return claims(results)
+
+
+def page(*given, **options):
+    return html_renderer.render(contents.page(*given, **options))
+
+
+def markdown(claims):
+    return markdown_renderer.table(contents.claims_table(claims))
 
 
 def read(text):
@@ -174,9 +185,12 @@ class TestMarkdown:
         assert "Oracles that owe nothing to GPC: lqr, mpc." in told
 
     def test_the_whole_report(self, results, tested):
-        captions = {"pendulum": {"fig5_1_returns": "Fig. 5.1: what & how"}}
-        text = markdown_report(tested, captions, results, [COMMAND])
-        assert "![fig5_1_returns](figures/fig5_1_returns.png)" in text and "Fig. 5.1: what & how" in text
+        picture = Picture(b"", 6.0, "Returns", "Fig. 5.1: what & how", "figures/fig5_1_returns.png")
+        document = contents.page(tested, {"pendulum": [picture]}, {}, results, [COMMAND], brief=True)
+        text = markdown_renderer.render(document)
+        assert "![Returns](figures/fig5_1_returns.png)" in text and "Fig. 5.1: what & how" in text
+        assert PARTS["pendulum"].title in text and PARTS["lander"].title not in text  # it has no figure
+        assert "Not run: " in text and "of-somebody" not in text
         assert all(claim.text in text for part in tested.values() for claim in part)
         for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
             assert len({len(row) for row in lines_of(block)}) == 1

@@ -36,7 +36,7 @@ def test_two_seeds_of_two_episodes_on_the_pendulum(tmp_path, monkeypatch):
     expected = (table["gpc"] - table["coach"]).groupby("error").mean()
     np.testing.assert_allclose(order["estimate"], expected, rtol=1e-12)
     assert (out / "figures" / "fig5_1_returns.png").stat().st_size > 10_000
-    monkeypatch.setattr(run_module, "Executors", None)
+    monkeypatch.setattr(run_module, "Processes", None)
     before = files(out)
     assert cli.main(words) == 0
     assert files(out) == before

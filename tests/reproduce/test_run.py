@@ -23,7 +23,7 @@ from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import make_spec, read_toml
 from gpcjax.sweep.store import read_episodes
 from tests.reproduce.illustrated import illustrations
-from tests.sweep.pretended import rows
+from tests.sweep.pretended import hand_out, rows
 
 SWEPT = tuple(part for part in PARTS if PARTS[part].experiments)
 EXPERIMENTS = [name for part in SWEPT for name in PARTS[part].experiments]
@@ -43,20 +43,20 @@ def sweeps(tmp_path):
 
 
 class Pretended:
-    """In place of `Executors`: rows of all cells, or of some and then Ctrl-C."""
+    """In place of `Processes`: rows of all cells, or of some and then Ctrl-C."""
 
     def __init__(self):
         self.cells, self.stop_after = [], None
 
-    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
-        self.work = (list(cells), list(baselines), on_rows, on_baseline, on_progress)
+    def __call__(self, jobs):
+        self.jobs = jobs
         return self
 
-    def run(self):
-        cells, baselines, on_rows, on_baseline, on_progress = self.work
-        for _, name in baselines:
+    def run(self, desk):
+        on_rows, on_baseline, on_progress = hand_out(desk)
+        for _, name in desk.baselines:
             on_baseline(name, {"mean": BASELINES.get(name, 100.0), "std": 1.0, "n": 100})
-        for cell in cells:
+        for cell in desk.cells:
             if len(self.cells) == self.stop_after:
                 raise KeyboardInterrupt
             self.cells.append(cell)
@@ -80,7 +80,7 @@ def taught(cell):
 @pytest.fixture
 def pretended(monkeypatch):
     workers = Pretended()
-    monkeypatch.setattr(run_module, "Executors", workers)
+    monkeypatch.setattr(run_module, "Processes", workers)
     return workers
 
 

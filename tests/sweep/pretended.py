@@ -27,20 +27,33 @@ def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
     return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log)
 
 
+def hand_out(desk):
+    """Hands all that this desk has to its last worker; gives what takes that worker's rows, baselines and progress."""
+    worker = desk.workers - 1
+    while (answer := desk.answer(worker, ("ready",))) != ("stop",):
+        while answer[0] == "program" and desk.answer(worker, ("next",)) != ("cells", []):
+            pass
+    return (
+        lambda rows: desk.answer(worker, ("rows", rows)),
+        lambda name, numbers: desk.answer(worker, ("baseline", name, numbers)),
+        lambda totals: desk.answer(worker, ("progress", totals)),
+    )
+
+
 class Pretended:
-    """In place of `Executors`: hands in rows of all cells, or of some and then fails."""
+    """In place of `Processes`: hands in rows of all cells, or of some and then fails."""
 
     def __init__(self, fails_after=None, error=KeyboardInterrupt):
         self.fails_after, self.error, self.calls = fails_after, error, []
 
-    def __call__(self, cells, baselines, jobs, on_rows, on_baseline, on_progress):
-        cells, baselines = list(cells), list(baselines)
-        self.calls.append((cells, baselines, jobs))
-        self.work = lambda: self._work(cells, baselines, on_rows, on_baseline, on_progress)
+    def __call__(self, jobs):
+        self.jobs = jobs
         return self
 
-    def run(self):
-        self.work()
+    def run(self, desk):
+        cells, baselines = list(desk.cells), list(desk.baselines)
+        self.calls.append((cells, baselines, self.jobs))
+        self._work(cells, baselines, *hand_out(desk))
 
     def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
         for _, name in baselines:

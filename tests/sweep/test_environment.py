@@ -10,7 +10,7 @@ import pytest
 
 from gpcjax.sweep import environment
 from gpcjax.sweep.environment import CACHE, XLA_OPTIONS, notes, worker_environment
-from gpcjax.sweep.executors import FEWER, reason
+from gpcjax.sweep.executors.starting import FEWER, reason
 
 HOSTILE = {
     "JAX_DEBUG_NANS": "1",

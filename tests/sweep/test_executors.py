@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from gpcjax.errors import Failure, UserError
-from gpcjax.sweep import executors, stopping
-from gpcjax.sweep.executors import FEWER, Executors
+from gpcjax.sweep import stopping
+from gpcjax.sweep.executors import Desk, processes, starting
+from gpcjax.sweep.executors.starting import FEWER
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.worker import told
@@ -32,7 +33,7 @@ def workers(monkeypatch):
 
     def pretend(code, jobs=1, on_rows=lambda rows: None, on_progress=lambda totals: None):
         monkeypatch.setattr(
-            executors, "python", lambda _, number: [sys.executable, "-c", START + code, number]
+            processes, "python", lambda _, number: [sys.executable, "-c", START + code, number]
         )
         popen = subprocess.Popen
 
@@ -40,8 +41,9 @@ def workers(monkeypatch):
             started.append(popen(*arguments, **options))
             return started[-1]
 
-        monkeypatch.setattr(executors.subprocess, "Popen", start)
-        Executors(CELLS, [], jobs, on_rows, lambda *_: None, on_progress).run()
+        monkeypatch.setattr(processes.subprocess, "Popen", start)
+        desk = Desk(CELLS, [], jobs, on_rows, lambda *_: None, on_progress)
+        processes.Processes(jobs).run(desk)
 
     yield pretend
     assert all(process.poll() is not None for process in started)  # none outlives the call
@@ -90,7 +92,7 @@ def test_what_a_worker_tells_of_its_error(error, line, ours):
 
 def test_one_that_cannot_be_started(workers, monkeypatch):
     """The first is there when there is no room for the second, and ends with the call."""
-    real, calls = executors.Pipe, []
+    real, calls = processes.Pipe, []
 
     def pipe():
         calls.append(None)
@@ -98,7 +100,7 @@ def test_one_that_cannot_be_started(workers, monkeypatch):
             raise OSError(errno.EMFILE, "Too many open files")
         return real()
 
-    monkeypatch.setattr(executors, "Pipe", pipe)
+    monkeypatch.setattr(processes, "Pipe", pipe)
     with pytest.raises(Failure, match="could not be started: Too many open files, give fewer"):
         workers("time.sleep(60)", jobs=2)
 
@@ -124,12 +126,12 @@ if os.fork() == 0:
 os.kill(os.getpid(), signal.SIGTERM)
 """
     got = []
-    before = executors.signal.signal(executors.signal.SIGTERM, lambda *_: got.append("SIGTERM"))
+    before = signal.signal(signal.SIGTERM, lambda *_: got.append("SIGTERM"))
     try:
         with pytest.raises(stopping.Stopped), stopping.deferred():
             workers(code)
     finally:
-        executors.signal.signal(executors.signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before)
     assert got == ["SIGTERM"]
 
 
@@ -146,7 +148,7 @@ parent.send(("next",)); parent.recv()
 parent.send(("compiling", True)); time.sleep(1.2)
 parent.send(("compiling", False))
 parent.send(("progress", Totals(100, 2, 0.5, 1)))
-parent.send(("rows", CellRows({cell}, np.array([1, 2]), ["ok"] * 2, {{"length": np.array([30, 40])}}, {{}})))
+parent.send(("rows", CellRows({cell}, np.array([1, 2]), ["ok"] * 2, {{"length": np.array([30, 40])}}, {{}}, {{}})))
 parent.send(("progress", Totals(150, 3, 0.5, 1)))
 time.sleep(0.7)
 os._exit(3)
@@ -178,11 +180,11 @@ def alone(tmp_path, monkeypatch):
         started.append(popen(*arguments, **options))
         return started[-1]
 
-    monkeypatch.setattr(executors.subprocess, "Popen", start)
+    monkeypatch.setattr(starting.subprocess, "Popen", start)
 
     def run(code):
         (tmp_path / "some_module.py").write_text(f"import os, signal, sys, time\n{code}\n")
-        executors.run_alone("some_module", "word")
+        starting.run_alone("some_module", "word")
 
     yield run
     assert started and all(process.poll() is not None for process in started)

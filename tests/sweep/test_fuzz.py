@@ -19,17 +19,20 @@ from gpcjax.sweep.spec import LARGEST_FILE, SweepSpec
 COUNT = 2000
 """Specifications of each kind, flags and TOML."""
 
-ENVS = ("cartpole", "pendulum", "lunarlander")
+ENVS = ("cartpole", "pendulum", "lunarlander", "mountaincar")
 EXPERTS = {
     "cartpole": {"gpc", "gpc-2", "gpc-3", "lqr"},
     "pendulum": {"gpc", "energy"},
     "lunarlander": {"heuristic"},
+    "mountaincar": {"pump"},
 }
 POSITIVE = (
-    "policy_length_scale policy_variance human_length_scale human_variance static_rate noise beta magnitude"
+    "policy_length_scale policy_variance human_length_scale human_variance static_rate noise beta magnitude "
+    "delay_shape attention distraction credit_shape"
 )
 POSITIVE = frozenset(POSITIVE.split())
-FROM_ZERO = frozenset({"constant_rate", "active_gain", "coach_constant"})
+FROM_ZERO = "constant_rate active_gain coach_constant delay delay_longest fading credit credit_longest"
+FROM_ZERO = frozenset(FROM_ZERO.split())
 LISTS = ("algo", "error", "oracle", "delta", "rate", *POSITIVE, *FROM_ZERO, "policy_nu")
 SERIES = "rate_schedule"
 NUMBERS = {"error", "delta", "rate", "rate_schedule", "policy_nu", *POSITIVE, *FROM_ZERO}
@@ -40,7 +43,7 @@ NAMES = sorted(NUMBERS | WHOLE | WORDS | {"sparsify"})
 GOOD = {
     "env": ENVS,
     "algo": ("gpc", "gpc-ns", "coach", "gpc,coach"),
-    "oracle": ("gpc", "lqr", "energy", "heuristic"),
+    "oracle": ("gpc", "lqr", "energy", "heuristic", "pump"),
     "on_full": ("error", "replace-nearest", "drop"),
     "out": ("here", "a b", "~/x", "-", "é"),
     "rate_from": ("there",),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from gpcjax.envs.registry import env_names, expert_names
-from gpcjax.learners.hyperparameters import ALGORITHMS
+from gpcjax.registry import names
 from gpcjax.sweep import costs
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left, works_of
@@ -268,9 +268,9 @@ def test_a_terminal_gets_a_bar(monkeypatch, columns):
 def test_one_table_says_what_programs_cost():
     """Of every task and learner; an expert that plans at each advice costs much more than one that does not."""
     for env in env_names():
-        for algo in ALGORITHMS:
+        for algo in names("learner"):
             usual = costs.of_episode(env, algo, expert_names(env)[0])
-            assert usual > 0 and costs.COMPILING[algo] > 0
+            assert usual > 0 and costs.compiling(algo) > 0
             for oracle in expert_names(env):
                 assert (costs.of_episode(env, algo, oracle) > 4 * usual) == (oracle == "mpc")
     assert costs.of_episode("cartpole", "coach", "mpc") > 100 * costs.of_episode("cartpole", "coach", "gpc")

@@ -16,6 +16,7 @@ import pytest
 
 from gpcjax.errors import UserError
 from gpcjax.report import html
+from gpcjax.report.content import document
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
@@ -43,7 +44,7 @@ SPEC = spec_of(**SETTINGS)
 def pretend(monkeypatch):
     def make(*arguments, **options):
         pretended = Pretended(*arguments, **options)
-        monkeypatch.setattr(run_module, "Executors", pretended)
+        monkeypatch.setattr(run_module, "Processes", pretended)
         return pretended
 
     return make
@@ -141,6 +142,8 @@ def test_rows_are_flushed_while_it_runs(tmp_path, pretend, monkeypatch):
     seen = []
 
     def work(cells, baselines, on_rows, on_baseline, on_progress):
+        for _, name in baselines:
+            on_baseline(name, BASELINE)
         for cell in cells:
             time.sleep(0.02)
             on_rows(rows(cell))
@@ -346,7 +349,7 @@ class TestManifestMadeAnew:
         sweep(tmp_path, **SETTINGS)
         written = manifest(tmp_path)
         assert written["machine"] == {"processor": UNKNOWN} and written["further_machines"] == [here]
-        page = html.page(summarise(gather(read_episodes(tmp_path), written)), [])
+        page = html.render(document(summarise(gather(read_episodes(tmp_path), written)), []))
         assert UNKNOWN in page and "It went on with another machine" in page
 
     def test_not_for_another_sweep(self, tmp_path, half):
@@ -404,7 +407,7 @@ def test_what_kills_leave_is_removed(tmp_path, pretend):
         ({"seeds": 0}, "seeds 0"),
         (
             {"oracle": "energy"},
-            "oracle .*'energy'.*: give gpc or gpc-2 or gpc-3 or lqr or network or mpc for cartpole",
+            "oracle .*'energy'.*: give gpc, gpc-2, gpc-3, lqr, network, mpc, .* for cartpole",
         ),
         ({"nosie": 1}, "'nosie' is no setting .did you mean noise"),
     ],

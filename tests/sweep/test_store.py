@@ -463,7 +463,7 @@ def test_the_rows_of_a_lane():
     from gpcjax.sweep.worker import rows_of
 
     length = np.array([5, 7, 0], np.int32)
-    measured = {field.name: length for field in dataclasses.fields(EpisodeRows)}
+    measured = {field.name: length for field in dataclasses.fields(EpisodeRows) if field.name != "own"}
     measured["returns"] = np.array([1.0, np.nan, 0.0])
     log = {
         "where": np.arange(3 * LOGGED_CORRECTIONS).reshape(-1, 3),
@@ -471,7 +471,7 @@ def test_the_rows_of_a_lane():
     }
     lane = _of(
         Lane,
-        rows=_of(EpisodeRows, **measured),
+        rows=_of(EpisodeRows, **measured, own={"weight": np.array([0.5, 0.25, 0.0])}),
         log=_of(CorrectionLog, count=np.int32(2), outcome=log["values"] > 0, **log),
         status=np.int32(Status.NON_FINITE),
     )
@@ -480,6 +480,7 @@ def test_the_rows_of_a_lane():
     assert got.cell is cell
     assert got.episode.tolist() == [1, 2] and got.status == ["ok", "non-finite"]
     assert all(got.episodes[name].tolist() == [5, 7] for name in measured if name != "returns")
+    assert got.own["weight"].tolist() == [0.5, 0.25]
     assert got.corrections["where"].tolist() == [[0, 1, 2], [3, 4, 5]]
 
     # A start that is no number: an episode without a step, but a row that tells of it.

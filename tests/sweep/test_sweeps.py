@@ -228,7 +228,7 @@ def test_the_manifest(reference):
 
 
 def test_a_second_call_starts_no_worker(reference, monkeypatch):
-    monkeypatch.setattr(run_module, "Executors", None)
+    monkeypatch.setattr(run_module, "Processes", None)
     before = {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
     sweep(reference, jobs=2, **SETTINGS)
     assert before == {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
@@ -239,6 +239,19 @@ def test_a_cell_alone(reference, tmp_path):
     assert_the_same_rows(
         sweep(tmp_path / "out", **alone), reference, "algo == 'coach' and error == 0.2 and seed == 0"
     )
+
+
+def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
+    """A delay is a column like any other setting, though what is compiled differs; the learner reckons with another."""
+    settings = SETTINGS | {"algo": "coach", "error": 0.0, "delay": [0.0, 0.2], "credit": 0.1}
+    out = sweep(tmp_path / "out", jobs=1, **settings)
+    rows = read_episodes(out)
+    assert rows.groupby("delay").size().to_dict() == {0.0: 6, 0.2: 6}
+    assert (rows["corrections"] > 0).any()
+    steps = read_corrections(out).groupby("delay")["step"].min()
+    assert steps[0.2] >= 10 > steps[0.0] >= 5  # steps of 0.02 s; none before is advised, nor learned from
+    monkeypatch.setattr(run_module, "Processes", None)
+    sweep(out, jobs=1, **settings)
 
 
 def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):

@@ -6,14 +6,16 @@ from pathlib import Path
 import pytest
 
 from gpcjax import cli
-from gpcjax.envs.registry import expert_names
+from gpcjax.envs.registry import expert_names, task
 from gpcjax.errors import UserError
+from gpcjax.registry import find
 from gpcjax.reproduce.parts import ABLATIONS, PARTS, ROWS
 from gpcjax.sweep.plan import count
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 SHIPPED = sorted(SWEEPS.glob("*.toml"))
+GRIDS = [path.stem for path in SHIPPED if path.stem.startswith("grid_")]
 SOME = """
 env = "cartpole"
 error = [0, 0.1]
@@ -58,7 +60,10 @@ class TestQuick:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("[quick]\nsedes = 3", "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo"),
+            (
+                'env = "pendulum"\n[quick]\nsedes = 3',
+                "[quick] 'sedes' is no setting (did you mean seeds?): give env, algo",
+            ),
             ("[quick]\nseeds = 0", "[quick] seeds 0: give a whole number from 1"),
             ("[quick.quick]\nseeds = 1", "[quick] 'quick' is no setting"),
             ("[quik]\nseeds = 1", "'quik' is no setting"),
@@ -69,7 +74,7 @@ class TestQuick:
         """Whether it is asked for or not."""
         path = file(text)
         with pytest.raises(UserError) as refusal:
-            read_toml(path, quick)
+            make_spec(read_toml(path, quick))
         assert str(refusal.value).startswith(f"{path}: {message}")
 
     def test_what_does_not_fit_together_names_it_too(self, file):
@@ -121,7 +126,17 @@ class TestShipped:
 def test_every_experiment_has_its_file_and_every_file_its_part():
     experiments = [name for part in PARTS.values() for name in part.experiments]
     assert len(set(experiments)) == len(experiments)
-    assert sorted(experiments) == [path.stem for path in SHIPPED]
+    assert sorted(experiments) == [path.stem for path in SHIPPED if path.stem not in GRIDS]
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_preset_is_a_point_of_the_grid_that_it_comes_from(name):
+    grid = spec(SWEEPS / f"{name}.toml")
+    (algo,) = grid.algo
+    preset = {**find("learner", algo).defaults, **task(grid.env).presets.get(algo, {})}
+    assert name == f"grid_{grid.env}_{algo}"
+    for hyperparameter, values in grid.hyperparameters.items():
+        assert preset[hyperparameter] in values and len(values) > 1
 
 
 def test_an_experiment_comes_after_the_one_whose_rates_it_takes():

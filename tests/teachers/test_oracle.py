@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gpcjax.envs.registry import make_expert
+from gpcjax.moment import Moment
 from gpcjax.sweep.build import make_oracle
 from gpcjax.teachers.oracle import Advisor, Oracle
 
@@ -30,7 +31,13 @@ def advise(oracle, coins, gap=1.0, sigma=0.0):
     """Advice of lanes whose target is `gap` above the action."""
     shaped = lambda value: jnp.broadcast_to(jnp.asarray(value, float), coins.shape)  # noqa: E731
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, coins.shape[1:]), oracle)
-    return np.asarray(lanes.advise(coins, shaped(0.0), shaped(gap), shaped(sigma)))
+    return np.asarray(lanes.advise(coins, moment(shaped(0.0), shaped(gap), shaped(sigma))))
+
+
+def moment(action, target, sigma) -> Moment:
+    """A step at which all that matters is these; each (action_size, lanes)."""
+    none = jnp.zeros(action.shape[1:], jnp.int32)
+    return Moment(jnp.zeros((1, *none.shape)), action, none, none, target, sigma)
 
 
 def near(count, probability, draws):
@@ -89,7 +96,7 @@ def test_lanes_may_have_their_own_numbers():
         active_gain=jnp.zeros(3),
         active=False,
     )
-    h = oracle.advise(jnp.full((2, 3), 0.5), jnp.zeros((2, 3)), jnp.ones((2, 3)), jnp.zeros((2, 3)))
+    h = oracle.advise(jnp.full((2, 3), 0.5), moment(jnp.zeros((2, 3)), jnp.ones((2, 3)), jnp.zeros((2, 3))))
     np.testing.assert_array_equal(h, [[0, 1, -1]] * 2)
 
 
@@ -102,7 +109,7 @@ def test_a_schedule_gives_each_episode_its_own_chance():
         during = oracle.during(jnp.int32(episodes))
         np.testing.assert_array_equal(during.chance(jnp.zeros(2)), chances)
         for coin in (0.15, 0.25, 0.65, 0.75):
-            may = during.may_advise(jnp.full((1, 2), coin), jnp.zeros(2))
+            may = during.may_advise(jnp.full((1, 2), coin), jnp.zeros(2), jnp.zeros(2, jnp.int32))
             np.testing.assert_array_equal(may, [[coin < chance for chance in chances]])
     assert jax.tree.map(lambda leaf: leaf[..., 1], oracle).during(jnp.int32(1)).rate == 0.7
     plain = make(rate=0.4)
@@ -129,7 +136,7 @@ class TestActive:
         largest = 0.3
         lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (DRAWS,)), self.oracle)
         for bound in (largest, 0.0):
-            may = np.asarray(lanes.may_advise(coins(), jnp.full(DRAWS, bound)))
+            may = np.asarray(lanes.may_advise(coins(), jnp.full(DRAWS, bound), jnp.zeros(DRAWS, jnp.int32)))
             near(may.sum(), 0.05 + 2 * bound, may.size)
             for sigma in np.linspace(0.0, bound, 4):
                 assert not advise(self.oracle, coins(), sigma=sigma)[~may].any()
@@ -176,8 +183,8 @@ class TestAdvisor:
             ({"delta": -1}, "delta -1: give a number of at least 0"),
             ({"delta": float("inf")}, "delta inf: give a number of at least 0"),
             ({"active_gain": -2.0}, "active_gain -2.0: give a number of at least 0"),
-            ({"expert_name": "energy"}, "unknown oracle 'energy' for cartpole; allowed: gpc, .*lqr"),
-            ({"env_name": "cartpol"}, "unknown environment 'cartpol'; allowed: cartpole, pendulum"),
+            ({"expert_name": "energy"}, "oracle 'energy': give gpc, .*lqr, .* for cartpole"),
+            ({"env_name": "cartpol"}, "env 'cartpol': give cartpole, pendulum, .*.*"),
         ],
     )
     def test_refusals(self, options, message):

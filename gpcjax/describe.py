@@ -1,0 +1,225 @@
+"""What stands behind a name: descriptions of tasks, learners and teachers, as data. Standard library only, no jax.
+
+Whatever names a task, a learner or a teacher reads its description (`gpcjax.registry.find`); nothing else knows the
+list of them. A description is frozen; `make` and the experts are texts "module:attribute" that are imported on demand,
+so that naming what is built in loads nothing that computes.
+"""
+
+import inspect
+import numbers
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from gpcjax.allowed import FINITE, Allowed, Numbers
+from gpcjax.errors import UserError
+
+Make = str | Callable[..., Any]
+"""What makes a thing: "module:attribute", or the function or class itself."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A hyperparameter, once: flag, TOML key, help, bounds and messages come from here.
+
+    | Field      | Meaning                                                                                     |
+    |------------|---------------------------------------------------------------------------------------------|
+    | `name`     | the TOML key and, with dashes, the flag                                                     |
+    | `symbol`   | of the thesis, or of where it comes from; the name if there is none                          |
+    | `allowed`  | its values                                                                                  |
+    | `text`     | what it is, for the help                                                                    |
+    | `default`  | where neither a person nor a preset gives it; None leaves it out                             |
+    | `compiled` | what of it a compiled program depends on: nothing, whether it is "given", whether it is     |
+    |            | "nonzero", or its "value"                                                                   |
+    | `uncertain` | it concerns learners alone that know how uncertain they are                                |
+    """
+
+    name: str
+    symbol: str
+    allowed: Allowed
+    text: str
+    default: float | None = None
+    compiled: Literal["no", "given", "nonzero", "value"] = "no"
+    uncertain: bool = False
+
+    @property
+    def kind(self) -> type:
+        """The type of one value."""
+        return int if isinstance(self.allowed, Numbers) and self.allowed.whole else float
+
+    def in_program(self, value: float | None) -> float | bool | None:
+        """What a compiled program depends on, where the setting has this value, or none."""
+        match self.compiled:
+            case "given":
+                return value is not None
+            case "nonzero":
+                return bool(value)
+            case "value":
+                return value
+        return None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A measurement that a learner adds to the rows of an episode; null for all others.
+
+    | Field   | Meaning                                             |
+    |---------|-----------------------------------------------------|
+    | `name`  | of the column, and of the entry in `Learner.measure` |
+    | `type`  | "float" or "int"                                    |
+    | `text`  | what it is                                          |
+    """
+
+    name: str
+    type: Literal["float", "int"]
+    text: str
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """A task.
+
+    | Field          | Meaning                                                                                 |
+    |----------------|-----------------------------------------------------------------------------------------|
+    | `name`         | under which it is asked for, and its results are kept                                   |
+    | `make`         | makes it: an `Env`, a `HostEnv`, or an environment of brax or gymnasium                  |
+    | `experts`      | expert name -> "module:function", a function, the folder of a saved policy, or a tuple    |
+    |                | (what makes it, its arguments...); the default comes first                              |
+    | `label`, `unit` | as reports write it, and what its return counts                                        |
+    | `actions`      | what the dimensions of an action move, where there are several                          |
+    | `episodes`     | default length of a sweep                                                               |
+    | `max_capacity` | default bound of a dictionary's points                                                  |
+    | `on_host`      | simulated there: a step takes tens of microseconds, whatever is compiled                |
+    | `sizes`        | of an observation and of an action; None asks the task                                  |
+    | `time_step`    | seconds of a step; None where a task has no unit of time: then delays are in steps      |
+    | `obs_scale`    | how large each number of an observation usually is; None says nothing                   |
+    | `presets`      | learner name -> keyword arguments of what makes it                                      |
+    """
+
+    name: str
+    make: Make
+    experts: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    label: str = ""
+    unit: str = ""
+    actions: tuple[str, ...] = ()
+    episodes: int = 30
+    max_capacity: int = 1024
+    on_host: bool = False
+    sizes: tuple[int, int] | None = None
+    time_step: float | None = None
+    obs_scale: tuple[float, ...] | None = None
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, hash=False)
+
+    @property
+    def title(self) -> str:
+        """As reports write it."""
+        return self.label or self.name
+
+    @property
+    def seconds(self) -> float:
+        """Of a step; 1 where a task has no unit of time, so that delays are in steps."""
+        return 1.0 if self.time_step is None else self.time_step
+
+
+@dataclass(frozen=True)
+class LearnerSpec:
+    """A learner.
+
+    | Field        | Meaning                                                                              |
+    |--------------|--------------------------------------------------------------------------------------|
+    | `name`       | under which it is asked for, and its results are kept                                |
+    | `make`       | makes it, from `obs_size`, `action_size`, settings and options by name                |
+    | `settings`   | numbers that a sweep may vary                                                        |
+    | `options`    | further keyword arguments of `make`, which presets and Python may give                |
+    | `columns`    | what it measures beside what is measured of all                                      |
+    | `dictionary` | it holds points: it lives in blocks of growing capacity, and takes the options of one |
+    | `uncertain`  | it knows how uncertain it is (sigma_h), so that a teacher may wait for that           |
+    | `label`      | as reports write it                                                                  |
+    | `defaults`   | values where the task has no preset                                                  |
+    """
+
+    name: str
+    make: Make
+    settings: tuple[Setting, ...] = ()
+    options: tuple[str, ...] = ()
+    columns: tuple[Column, ...] = ()
+    dictionary: bool = False
+    uncertain: bool = False
+    label: str = ""
+    defaults: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    @property
+    def title(self) -> str:
+        """As reports write it."""
+        return self.label or self.name
+
+
+@dataclass(frozen=True)
+class TeacherSpec:
+    """A teacher.
+
+    | Field          | Meaning                                                                      |
+    |----------------|------------------------------------------------------------------------------|
+    | `name`         | under which it is asked for                                                  |
+    | `make`         | makes it, from its settings by name                                          |
+    | `settings`     | numbers that a sweep may vary                                                |
+    | `needs_expert` | it aims at the actions of an expert                                          |
+    | `label`        | as reports write it                                                          |
+    | `action_size`  | of the tasks that it teaches; None is any                                    |
+    """
+
+    name: str
+    make: Make
+    settings: tuple[Setting, ...] = ()
+    needs_expert: bool = True
+    label: str = ""
+    action_size: int | None = None
+
+    @property
+    def title(self) -> str:
+        """As reports write it."""
+        return self.label or self.name
+
+
+Spec = TaskSpec | LearnerSpec | TeacherSpec
+
+
+OF_EVERY_SWEEP = frozenset(
+    "env algo teacher error seeds episodes oracle delta rate rate_schedule sparsify on_full max_capacity out jobs "
+    "rate_from time_step credit credit_longest credit_shape".split()
+)
+"""Names of settings that no learner and no teacher can have for its own."""
+
+
+def settings_from(
+    source: str, found: Callable[..., Any], others: tuple[str, ...] = ()
+) -> tuple[Setting, ...]:
+    """The arguments with a number as their default, but for `others`, of what makes a learner or a teacher.
+
+    Whole numbers are compiled in; all others are data of one program.
+
+    Raises:
+        UserError: one of them has the name of a setting of every sweep; `source` begins the message.
+    """
+    fields = {each.name: each.default for each in getattr(found, "__dataclass_fields__", {}).values()}
+    settings = []
+    for name, parameter in inspect.signature(found).parameters.items():
+        default = fields.get(name, parameter.default)
+        if name in others or not isinstance(default, numbers.Real) or isinstance(default, bool):
+            continue
+        if name in OF_EVERY_SWEEP:
+            raise UserError(
+                f"{source}: its argument {name} is a setting of every sweep, give it another name"
+            )
+        whole = isinstance(default, numbers.Integral)
+        settings.append(
+            Setting(
+                name,
+                "",
+                Numbers(whole=True) if whole else FINITE,
+                name.replace("_", " "),
+                default=int(default) if whole else float(default),
+                compiled="value" if whole else "no",
+            )
+        )
+    return tuple(settings)

@@ -1,0 +1,133 @@
+"""What happens in a session, a line of JSON for each event: kept at once, and read back to the bit.
+
+The first line has the session's `settings` and the `place` where it stood when the recording began; each further one is
+an event with its `episode` and `step` (from 0):
+
+| `event`    | values   | Meaning                                                  |
+|------------|----------|----------------------------------------------------------|
+| `propose`  | `obs`    | a step began                                             |
+| `executed` | `action` | what was executed there, where that is not what was proposed |
+| `advise`   | `advice` | h, -1, 0 or 1 for each action dimension                  |
+| `undo`     |          | the latest advice was taken back                         |
+| `end`      |          | the next step begins a new episode                       |
+
+Numbers are written with all their digits.
+"""
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from gpcjax.allowed import checked_path
+from gpcjax.errors import UserError
+
+FORMAT = 1
+
+
+class Recording:
+    """A file that events are appended to, each given to the operating system before `append` returns.
+
+    It is opened for each of them: nothing is left open when its program forgets it or dies.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path.absolute()
+
+    @classmethod
+    def new(cls, path: Any, settings: Mapping[str, Any], place: Mapping[str, Any]) -> "Recording":
+        """Begins a file. Raises UserError: there is something at `path`, or nothing can be written there."""
+        path = checked_path("record", path)
+        if os.path.lexists(path):
+            raise UserError(
+                f"record {path}: it exists, give another path, or Session.replay to go on with it"
+            )
+        with _writing(path):
+            path.touch(exist_ok=False)
+        recording = cls(path)
+        recording.append({"format": FORMAT, "settings": dict(settings), "place": dict(place)})
+        return recording
+
+    @classmethod
+    def again(cls, path: Any) -> "Recording":
+        """Goes on with a file that was read; a line that its program did not finish is taken away.
+
+        Raises:
+            UserError: it cannot be written.
+        """
+        path = checked_path("record", path)
+        with _writing(path):
+            content = path.read_bytes()
+            os.truncate(path, content.rfind(b"\n") + 1)
+        return cls(path)
+
+    def append(self, event: Mapping[str, Any]) -> None:
+        """Writes one event. Raises UserError: it cannot be written, or the file was taken away."""
+        line = json.dumps(event, allow_nan=False) + "\n"
+        with _writing(self._path), open(self._path, "ab", opener=_existing) as file:
+            file.write(line.encode())
+
+    @staticmethod
+    def read(path: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """The first line of a file, and its events; a last line that was not finished is left out.
+
+        Raises:
+            UserError: it cannot be read, or is no recording; the message names the line.
+        """
+        path = checked_path("record", path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "this is no text"
+            raise UserError(f"{path}: it cannot be read ({reason}), give the record of a session") from None
+        lines = text.split("\n")[:-1]
+        parsed = [_parsed(path, number, line) for number, line in enumerate(lines, 1)]
+        if not parsed or parsed[0].get("format") != FORMAT or not {"settings", "place"} <= parsed[0].keys():
+            raise UserError(f"{path}: this is no record of a session, or one of another format")
+        for number, event in enumerate(parsed[1:], 2):
+            if not _is_event(event):
+                raise UserError(f"{path}, line {number}: this is no event of a session")
+        return parsed[0], parsed[1:]
+
+
+def _existing(path: str, flags: int) -> int:
+    return os.open(path, flags & ~os.O_CREAT)
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"record {path}: it cannot be written ({error.strerror}), give another path"
+        ) from None
+
+
+def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise UserError(f"{path}, line {number}: this is no record of a session")
+    return value
+
+
+def _is_event(event: Mapping[str, Any]) -> bool:
+    """Whether it has all that an event has, of the right kind."""
+    match event:
+        case {"event": "propose", "obs": [*numbers]} | {"event": "executed", "action": [*numbers]}:
+            sound = all(type(number) is float and math.isfinite(number) for number in numbers)
+        case {"event": "advise", "advice": [*advice]}:
+            sound = all(type(value) is int and -1 <= value <= 1 for value in advice)
+        case {"event": "undo" | "end"}:
+            sound = True
+        case _:
+            return False
+    # Before the first step nothing can happen but that an episode ends.
+    least = {"episode": 0, "step": -1 if event["event"] in ("undo", "end") else 0}
+    return sound and all(type(event.get(name)) is int and event[name] >= low for name, low in least.items())

@@ -1,0 +1,230 @@
+"""What an executor is, and the desk at which all workers ask, whatever runs them. Loads no jax.
+
+An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
+`Desk.answer`. Messages of a worker, all of which can be pickled:
+
+    ("ready",)                   has nothing to do; answer: ("program", Cell), ("baseline", env, name) or ("stop",)
+    ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end
+    ("rows", CellRows)           has finished a cell
+    ("baseline", name, numbers)  has measured an idle policy or an expert
+    ("progress", Totals)         has done so much so far; some times a second
+    ("compiling", whether)       XLA begins with a program, or has it
+    ("failed", line, text)       its last word: an error in one line, and its full text or ""
+
+Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
+"""
+
+import dataclasses
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol, runtime_checkable
+
+from gpcjax.errors import Failure
+from gpcjax.sweep import stopping
+from gpcjax.sweep.plan import Cell, program_of
+from gpcjax.sweep.progress import COMPILES_FROM, Work
+from gpcjax.sweep.sharing import Sharing
+from gpcjax.sweep.store import CellRows
+
+ASKS = ("ready", "next")
+"""The first words of messages that are answered."""
+
+Message = tuple[Any, ...]
+Say = Callable[[Message], Message | None]
+"""How a worker speaks: it gives the answer to what is asked."""
+
+
+@dataclasses.dataclass
+class Totals:
+    """What all workers have done, for the progress bar and the manifest."""
+
+    env_steps: int = 0
+    episodes: int = 0
+    compile_seconds: float = 0.0
+    compilations: int = 0
+    works: tuple[Work, ...] = ()
+    """What has been done for each program. Workers send none, they are reckoned here."""
+    compiling: bool = False
+    """Whether a worker has been compiling for a while."""
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """Runs the workers of a sweep: all that differs between threads, processes and machines.
+
+    A worker computes where the environment is `worker_environment()`, and refuses otherwise: rows must not depend on
+    who ran it.
+    """
+
+    @property
+    def jobs(self) -> int:
+        """Workers at once, at most; the desk says how many there is work for."""
+        ...
+
+    def run(self, desk: "Desk") -> None:
+        """Run workers 0 to `desk.workers - 1` until each of them has been told to stop. None outlives this call.
+
+        Each message goes to `desk.answer(worker, message)`, and its answer back. What that raises ends the sweep, and
+        is let through. While nothing comes, `desk.look()` is called twice a second.
+
+        Raises:
+            Failure: a worker ended or could not be started; the message has its reason.
+        """
+        ...
+
+
+@dataclasses.dataclass
+class _Heard:
+    """What is known of a worker."""
+
+    progress: Totals = dataclasses.field(default_factory=Totals)
+    """What it has done, as far as it has told."""
+    since: float = 0.0
+    """When its time was last put down to its program."""
+    compiling_since: float | None = None
+    baseline: tuple[str, str] | None = None
+    """What it measures now."""
+
+
+class Desk:
+    """Answers what workers say: hands out cells and baselines, takes in rows, reckons the progress. Safe for threads.
+
+    Args:
+        cells: what to run.
+        baselines: (env, name) of idle policies and experts to measure, first.
+        jobs: workers there may be.
+        on_rows: called with the rows of each finished cell.
+        on_baseline: called with the name and the numbers of each baseline.
+        on_progress: called with the totals, some times a second.
+    """
+
+    def __init__(
+        self,
+        cells: Iterable[Cell],
+        baselines: Iterable[tuple[str, str]],
+        jobs: int,
+        on_rows: Callable[[CellRows], None],
+        on_baseline: Callable[[str, dict[str, float]], None],
+        on_progress: Callable[[Totals], None],
+    ):
+        self.cells, self.baselines = tuple(cells), tuple(baselines)
+        self.workers = max(1, min(jobs, len(self.cells) or 1))
+        """How many there is work for."""
+        self._sharing = Sharing(self.cells, self.workers)
+        self._measure = deque(self.baselines)
+        self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
+        self._heard = [_Heard() for _ in range(self.workers)]
+        self._before: list[Totals] = []
+        """What workers had done that are gone."""
+        self._lock = threading.Lock()
+
+    def answer(self, worker: int, message: Message) -> Message | None:
+        """The answer to what this worker says; None where it asks nothing.
+
+        Raises:
+            Failure: the worker says that it failed.
+            Stopped: a signal came in, within `stopping.deferred`.
+        """
+        with self._lock:
+            stopping.check()
+            return self._answer(worker, message)
+
+    def look(self) -> None:
+        """Nothing comes, time goes on: tell of the progress.
+
+        Raises:
+            Stopped: a signal came in, within `stopping.deferred`.
+        """
+        with self._lock:
+            stopping.check()
+            self._on_progress(self._totals())
+
+    def lose(self, worker: int) -> None:
+        """Take back what this worker had, which is gone, for others; for executors whose machines come and go.
+
+        What it still says must not be passed on. Workers that were told to stop are not called back, so another one
+        should be run in its place, under the same number.
+        """
+        with self._lock:
+            heard, self._heard[worker] = self._heard[worker], _Heard()
+            self._before.append(heard.progress)
+            self._sharing.lose(worker)
+            if heard.baseline is not None:
+                self._measure.appendleft(heard.baseline)
+
+    def refuse_less(self) -> None:
+        """Raise `Failure` unless all rows and baselines have come: an executor ended too early."""
+        left = self._sharing.left
+        measuring = [*self._measure, *(heard.baseline for heard in self._heard if heard.baseline)]
+        if left or measuring:
+            raise Failure(f"the executor ended with {left} cells and {len(measuring)} baselines to do")
+
+    def _answer(self, worker: int, message: Message) -> Message | None:
+        match message:
+            case ("ready",):
+                return self._next_program(worker)
+            case ("next",):
+                return ("cells", self._sharing.next_cells(worker))
+            case ("rows", CellRows() as rows):
+                self._take(rows)
+            case ("baseline", name, numbers):
+                self._heard[worker].baseline = None
+                self._on_baseline(name, numbers)
+            case ("progress", Totals() as progress):
+                self._reckon(worker, progress)
+                self._on_progress(self._totals())
+            case ("compiling", bool() as compiling):
+                self._heard[worker].compiling_since = time.monotonic() if compiling else None
+            case ("failed", line, details):
+                raise Failure(f"a worker process failed: {line}", details)
+        return None
+
+    def _next_program(self, worker: int) -> Message:
+        heard, measures = self._heard[worker], worker == self.workers - 1
+        self._sharing.leave(worker)
+        cell = None if self._measure and measures else self._sharing.next_program(worker)
+        if cell is not None:
+            heard.since = time.monotonic()
+            return ("program", cell)
+        if self._measure:  # the last worker does it first of all, another one when it has nothing else
+            heard.baseline = self._measure.popleft()
+            return ("baseline", *heard.baseline)
+        return ("stop",)
+
+    def _take(self, rows: CellRows) -> None:
+        if not self._sharing.back(rows.cell):
+            raise Failure(f"rows of a cell came that no worker has: {rows.cell}")
+        work = self._sharing.works[program_of(rows.cell)]
+        work.finished += 1
+        work.finished_steps += int(rows.episodes["length"].sum())
+        work.finished_episodes += len(rows.episode)
+        self._on_rows(rows)
+
+    def _reckon(self, worker: int, progress: Totals) -> None:
+        """Put what a worker has done since it was last heard, and the time, down to its program."""
+        heard, now = self._heard[worker], time.monotonic()
+        before, heard.progress = heard.progress, progress
+        program = self._sharing.at(worker)
+        if program is None:
+            return
+        work, compiled = self._sharing.works[program], progress.compile_seconds - before.compile_seconds
+        work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
+        if progress.env_steps > before.env_steps:
+            self._sharing.steps(worker)
+        work.seconds += max(now - heard.since - compiled, 0.0)
+        heard.since = now
+
+    def _totals(self) -> Totals:
+        done = [*self._before, *(heard.progress for heard in self._heard)]
+        long_ago = time.monotonic() - COMPILES_FROM
+        compiling = [heard.compiling_since for heard in self._heard]
+        return Totals(
+            env_steps=sum(progress.env_steps for progress in done),
+            episodes=sum(progress.episodes for progress in done),
+            compile_seconds=sum(progress.compile_seconds for progress in done),
+            compilations=sum(progress.compilations for progress in done),
+            works=tuple(self._sharing.works.values()),
+            compiling=any(since is not None and since < long_ago for since in compiling),
+        )

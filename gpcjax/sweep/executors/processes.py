@@ -1,0 +1,144 @@
+"""Worker processes on this machine, each with a connection to this one. Loads no jax."""
+
+import dataclasses
+import os
+import subprocess
+from contextlib import ExitStack
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+
+from gpcjax.errors import Failure
+from gpcjax.sweep import stopping
+from gpcjax.sweep.environment import python, worker_environment
+from gpcjax.sweep.executors.base import ASKS, Desk
+from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
+
+LOOK_SECONDS = 0.5
+"""Longest time between two reports of progress."""
+
+
+@dataclasses.dataclass
+class _Worker:
+    number: int
+    connection: Connection
+    process: subprocess.Popen[bytes]
+    errors: int
+    """What it writes to stderr can be read here."""
+    last_words: bytes = b""
+    """The end of what it has written."""
+
+    def listen(self) -> bool:
+        """Take in what it has written; False if it can write no more."""
+        try:
+            written = os.read(self.errors, 1 << 16)
+        except BlockingIOError:
+            return True
+        self.last_words = (self.last_words + written)[-LAST_WORDS:]
+        return bool(written)
+
+    def end(self) -> None:
+        """Kill it, if it has not ended."""
+        self.connection.close()
+        self.process.kill()
+        self.process.wait()
+        os.close(self.errors)
+
+
+class Processes:
+    """An executor: so many processes of this machine, which run `gpcjax.sweep.executors.served`.
+
+    Args:
+        jobs: processes at once.
+    """
+
+    def __init__(self, jobs: int):
+        self.jobs = jobs
+        self._workers: list[_Worker] = []
+
+    def run(self, desk: Desk) -> None:
+        """Returns when all is done. Workers never outlive this call.
+
+        Raises:
+            Failure: a worker failed, ended or could not be started; the message has its reason.
+            Stopped: a signal came in, within `stopping.deferred`.
+        """
+        try:
+            environment = worker_environment()
+            for number in range(desk.workers):
+                self._workers.append(_start(number, environment))
+            self._serve_all(desk)
+        finally:
+            for worker in self._workers:
+                worker.end()
+            self._workers = []
+
+    def _serve_all(self, desk: Desk) -> None:
+        """Answers messages until no worker has more to do."""
+        working = {worker.connection: worker for worker in self._workers}
+        writing = {worker.errors: worker for worker in self._workers}
+        stop = stopping.wakeup()
+        while working:
+            stopping.check()
+            ready = wait([*working, *writing, *([] if stop is None else [stop])], LOOK_SECONDS)
+            if not ready:  # nothing comes while all of them compile
+                desk.look()
+            for descriptor in writing.keys() & set(ready):
+                if not writing[descriptor].listen():
+                    del writing[descriptor]
+            for connection in working.keys() & set(ready):
+                stopping.check()
+                try:
+                    more = _serve(working[connection], desk)
+                except (EOFError, ConnectionError):
+                    raise _end_of(working[connection]) from None
+                if not more:
+                    del working[connection]
+
+
+def _serve(worker: _Worker, desk: Desk) -> bool:
+    """Answers one message; False if the worker has no more to do."""
+    message = worker.connection.recv()
+    answer = desk.answer(worker.number, message)
+    if message[0] in ASKS:
+        worker.connection.send(answer)
+    return answer != ("stop",)
+
+
+def _end_of(worker: _Worker) -> Exception:
+    """What its end is to the sweep, from how it ended and from what it wrote."""
+    try:
+        status = worker.process.wait(5.0)
+    except subprocess.TimeoutExpired:
+        status = 0
+    while True:  # what is left in the pipe
+        before = worker.last_words
+        if not worker.listen() or worker.last_words == before:
+            break
+    await_signal(status)
+    return Failure(f"a worker process {reason(status, worker.last_words.decode(errors='replace'))}")
+
+
+def _start(number: int, environment: dict[str, str]) -> _Worker:
+    opened = ExitStack()
+    try:
+        ours, theirs = map(opened.enter_context, Pipe())
+        errors, written = os.pipe()
+        for descriptor in (errors, written):
+            opened.callback(os.close, descriptor)
+        process = subprocess.Popen(
+            python("gpcjax.sweep.executors.served", str(theirs.fileno())),
+            pass_fds=[theirs.fileno()],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=written,
+            process_group=0,  # Ctrl-C is for the parent alone, also while a worker is still importing
+        )
+    except OSError as error:
+        opened.close()
+        raise not_started(error) from None
+    opened.pop_all()
+    theirs.close()
+    os.close(written)
+    os.set_blocking(errors, False)
+    return _Worker(number, ours, process, errors)

@@ -1,0 +1,52 @@
+"""A stranger's module: a task, two experts, a learner and a teacher, none of which gpcjax knows."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+import gpcjax
+
+
+class Drift(gpcjax.Env):
+    """A point on a line that runs away from zero: push it back."""
+
+    obs_size = 2
+    action_size = 1
+    max_steps = 40
+    speed: jax.Array = eqx.field(default=0.05, converter=gpcjax.parameter)
+
+    def reset(self, key):
+        return self.begin(jnp.stack([jax.random.uniform(key, minval=-0.5, maxval=0.5), 0.0]))
+
+    def step(self, state, action):
+        place = state.obs[0] * (1 + self.speed) + 0.1 * jnp.clip(action[0], -1.0, 1.0)
+        obs = jnp.stack([place, place - state.obs[0]])
+        return self.advance(state, obs, reward=-jnp.abs(place), terminated=jnp.abs(place) > 1.0)
+
+
+def expert(obs):
+    """Pushes back in proportion."""
+    return jnp.clip(-3.0 * obs[:1], -1.0, 1.0)
+
+
+class Linear(gpcjax.Learner):
+    """A linear policy, moved along the observation by each advice."""
+
+    step_size: jax.Array = eqx.field(default=0.5, converter=gpcjax.parameter)
+
+    def init(self, key=None):
+        return jnp.zeros((self.action_size, self.obs_size))
+
+    def propose(self, state, obs):
+        return state @ obs
+
+    def learn(self, state, moment, advice, key):
+        change = self.step_size * jnp.outer(advice, moment.obs)
+        return state + change, gpcjax.Info.of(rate=jnp.abs(change @ moment.obs))
+
+    def measure(self, state):
+        return {"weight": jnp.abs(state).max()}
+
+
+class Shy(gpcjax.Oracle):
+    """The oracle, silent in the first steps of an episode."""

@@ -1,0 +1,153 @@
+"""Who gets which cells: plain calls, no process."""
+
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+
+from gpcjax.errors import Failure
+from gpcjax.sweep import stopping
+from gpcjax.sweep.executors import Desk, Totals
+from gpcjax.sweep.plan import plan, program_of
+from gpcjax.sweep.progress import JOIN
+from gpcjax.sweep.sharing import BATCH, Sharing
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.pretended import BASELINE, rows
+
+
+def cells(seeds=4, algo=("gpc", "coach"), env="cartpole", **settings):
+    return plan(spec_of(env=env, algo=list(algo), seeds=seeds, oracle="lqr", **settings))
+
+
+def test_each_worker_has_a_program_of_its_own_and_joins_only_where_it_is_worth_it():
+    small, large = cells(seeds=JOIN, algo=["gpc"]), cells(seeds=3 * JOIN, algo=["coach"])
+    sharing = Sharing([*small, *large], workers=3)
+    assert [sharing.next_program(worker) for worker in range(3)] == [small[0], large[0], large[0]]
+    assert [work.workers for work in sharing.works.values()] == [1, 2]
+    while sharing.next_cells(0):
+        pass
+    left = sharing.works[program_of(large[0])]
+    sharing.leave(1)
+    while left.cells - left.begun >= JOIN:
+        sharing.next_cells(2)
+    assert sharing.next_program(0) is None  # too few are left to compile them a third time
+    assert sharing.next_program(1) is None and sharing.at(2) == program_of(large[0])
+    assert left.workers == 1 and left.joined == 2
+
+
+def test_shares_shrink_towards_the_end():
+    sharing = Sharing(cells(seeds=200, algo=["coach"]), workers=2)
+    sharing.next_program(0)
+    sizes = []
+    while taken := sharing.next_cells(0):
+        sizes.append(len(taken))
+    assert sum(sizes) == 200 and sizes[0] == BATCH and sizes[-1] == 1
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_on_the_host_a_worker_leaves_the_others_their_part():
+    task = cells(seeds=5, algo=["coach"])
+    lander = plan(spec_of(env="lunarlander", algo="gpc", seeds=5))
+    for these, expected in ((task, 5), (lander, 3)):
+        sharing = Sharing(these, workers=2)
+        sharing.next_program(0)
+        taken = []
+        while some := sharing.next_cells(0):
+            taken += some
+        assert len(taken) == expected
+
+
+@hypothesis.given(
+    st.lists(st.tuples(st.integers(0, 2), st.sampled_from(["take", "finish", "lose"])), max_size=60)
+)
+@hypothesis.settings(max_examples=60)
+def test_every_cell_comes_back_once_whoever_is_lost(moves):
+    everything = cells(seeds=20)
+    sharing, held, done = Sharing(everything, workers=3), {0: [], 1: [], 2: []}, []
+
+    def move(worker, what):
+        if what == "lose":
+            assert sharing.lose(worker) == held[worker]
+            held[worker] = []
+        elif what == "finish" and held[worker]:
+            done.append(held[worker].pop(0))
+            assert sharing.back(done[-1]) and not sharing.back(done[-1])
+        elif what == "take" and (sharing.at(worker) or sharing.next_program(worker)):
+            held[worker] += (taken := sharing.next_cells(worker))
+            if not taken:
+                sharing.leave(worker)
+        assert sharing.left == len(everything) - len(done)
+        assert sum(work.begun for work in sharing.works.values()) == len(done) + sum(map(len, held.values()))
+        assert all(0 <= work.starting <= work.workers for work in sharing.works.values())
+
+    for worker, what in moves:
+        move(worker, what)
+    for worker in (1, 2):
+        move(worker, "lose")
+    while sharing.left:
+        move(0, "take")
+        move(0, "finish")
+    assert sorted(done, key=repr) == sorted(everything, key=repr)
+
+
+def desk(these=None, baselines=(), jobs=2):
+    got, measured, told = [], {}, []
+    these = cells(seeds=2) if these is None else these
+    return Desk(these, baselines, jobs, got.append, measured.__setitem__, told.append), got, measured, told
+
+
+class TestDesk:
+    """What is common to all executors."""
+
+    def test_the_last_worker_measures_first_and_another_one_when_it_has_nothing_else(self):
+        it, _, measured, _ = desk(baselines=[("cartpole", "idle"), ("cartpole", "lqr")])
+        assert it.answer(1, ("ready",)) == ("baseline", "cartpole", "idle")
+        assert it.answer(0, ("ready",))[0] == "program"
+        assert it.answer(1, ("baseline", "idle", BASELINE)) is None and measured == {"idle": BASELINE}
+        it.lose(1)  # for good
+        while it.answer(0, ("next",)) != ("cells", []):
+            pass
+        while (answer := it.answer(0, ("ready",)))[0] == "program":
+            while it.answer(0, ("next",)) != ("cells", []):
+                pass
+        assert answer == ("baseline", "cartpole", "lqr")
+
+    def test_a_lost_worker_keeps_what_it_has_done_and_gives_back_what_it_has_not(self):
+        it, got, _, told = desk(cells(seeds=2, algo=["coach"]), [("cartpole", "idle")])
+        assert it.answer(1, ("ready",))[0] == "baseline"
+        it.lose(1)
+        assert it.answer(1, ("ready",)) == ("baseline", "cartpole", "idle")  # another one in its place
+        it.answer(1, ("baseline", "idle", BASELINE))
+        it.answer(0, ("ready",))
+        (first,) = it.answer(0, ("next",))[1]
+        (second,) = it.answer(0, ("next",))[1]
+        it.answer(0, ("rows", rows(first)))
+        it.answer(0, ("progress", Totals(40, 4, 1.0, 1)))
+        it.lose(0)
+        with pytest.raises(Failure, match="ended with 1 cells and 0 baselines to do"):
+            it.refuse_less()
+        it.answer(0, ("ready",))
+        assert it.answer(0, ("next",)) == ("cells", [second])
+        it.answer(0, ("progress", Totals(10, 1, 0.5, 1)))
+        it.answer(0, ("rows", rows(second)))
+        it.refuse_less()
+        assert [each.cell for each in got] == [first, second]
+        assert (told[-1].env_steps, told[-1].compile_seconds) == (50, 1.5)
+        assert told[-1].works[0].steps == 50
+
+    def test_rows_that_nobody_was_to_make_are_refused(self):
+        it, got, *_ = desk()
+        with pytest.raises(Failure, match="no worker has"):
+            it.answer(0, ("rows", rows(it.cells[0])))
+        assert not got
+
+    def test_a_signal_stops_it_at_the_next_word(self, monkeypatch):
+        it, *_, told = desk()
+        it.look()
+        monkeypatch.setattr(stopping._heard, "first", 2)
+        for say in (it.look, lambda: it.answer(0, ("ready",))):
+            with pytest.raises(stopping.Stopped):
+                say()
+        assert len(told) == 1
+
+    def test_there_are_no_more_workers_than_cells(self):
+        assert [desk(these, jobs=9)[0].workers for these in ([], cells(seeds=1), None)] == [1, 2, 4]

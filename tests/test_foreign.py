@@ -1,0 +1,155 @@
+"""A stranger's package is swept by name: its task, its learner, its teacher, among the built-in ones and alone."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gpcjax import registry
+from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.errors import ForeignError, UserError
+from gpcjax.learners.factory import make_learner
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.store import read_episodes
+from tests.sweep.test_sweeps import kill_and_resume
+
+FOREIGN = Path(__file__).parent / "foreign"
+SETTINGS = {
+    "env": "drifting:Drift",
+    "oracle": "drifting:expert",
+    "error": 0.1,
+    "rate": 0.3,
+    "seeds": 2,
+    "episodes": 3,
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed():
+    """Its folder is where Python looks, with what an installation leaves there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(FOREIGN))
+        registry._entry_points.cache_clear()
+        yield
+    registry._entry_points.cache_clear()
+    for kind, name in [key for key in registry._FOUND if key[1] not in registry.built_in(key[0])]:
+        del registry._FOUND[kind, name]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """A built-in learner and the stranger's, which has a grid of its own."""
+    folder = tmp_path_factory.mktemp("both") / "out"
+    return sweep(folder, algo=["gpc", "drifting:Linear"], step_size=[0.2, 0.5], **SETTINGS)
+
+
+def test_it_is_swept_among_built_in_ones(both):
+    rows = read_episodes(both)
+    assert rows.groupby("algo")["seed"].nunique().to_dict() == {"drifting:Linear": 2, "gpc": 2}
+    mine = rows[rows["algo"] == "drifting:Linear"]
+    assert sorted(mine["step_size"].unique()) == [0.2, 0.5]
+    assert mine["corrections"].sum() > 0 and (mine["weight"] > 0).all()
+    assert mine[["policy_points", "human_points"]].isna().all(axis=None)
+    others = rows[rows["algo"] == "gpc"]
+    assert others[["step_size", "weight"]].isna().all(axis=None) and (others["policy_points"] > 0).any()
+
+
+def test_by_an_entry_point_alone_it_has_the_same_bits(both, tmp_path):
+    settings = {**SETTINGS, "env": "drift"}
+    alone = read_episodes(sweep(tmp_path / "out", algo="linear", step_size=0.5, **settings))
+    rows = read_episodes(both).query("algo == 'drifting:Linear' and step_size == 0.5").reset_index(drop=True)
+    for name in ("seed", "episode", "return", "length", "corrections", "mean_rate", "weight"):
+        pd.testing.assert_series_equal(alone[name], rows[name], check_exact=True)
+
+
+def test_after_kill_9_too(both, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(FOREIGN))
+    kill_and_resume({**SETTINGS, "algo": ["gpc", "drifting:Linear"], "step_size": [0.2, 0.5]}, both, tmp_path)
+
+
+def test_names():
+    assert "drift" in registry.names("task") and "linear" in registry.names("learner")
+    assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander", "mountaincar")
+
+
+def test_from_python():
+    """Task, expert and learner by name."""
+    env, push = make_env("drifting:Drift", speed=0.2), make_expert("drifting:Drift", "drifting:expert")
+    assert float(env.speed) == 0.2 and env.max_steps == 40
+    np.testing.assert_allclose(push(np.array([0.1, 0.0])), [-0.3])
+    learner = make_learner("drifting:Linear", "drifting:Drift", step_size=0.1)
+    state, info = learner.correct(learner.init(), [0.5, 1.0], [0.0], [1])
+    np.testing.assert_allclose(state, [[0.05, 0.1]])
+    np.testing.assert_allclose(info.rate, [0.125])
+    np.testing.assert_allclose(learner.act(state, [1.0, 0.0]), [0.05])
+    dropped, info = learner.correct(state, [np.nan, 1.0], [0.0], [1])
+    np.testing.assert_array_equal(dropped, state)
+    assert int(info.status) == 2 and float(info.rate[0]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"env": "nowhere:Drift"}, "env nowhere:Drift: there is no module nowhere, neither installed nor in"),
+        ({"env": "drifting:Drfit"}, r"env drifting:Drfit: drifting has no Drfit \(did you mean Drift\?\)"),
+        ({"env": "drifting:expert"}, "env drifting:expert: it cannot be made .TypeError"),
+        ({"env": "drifting:Drift"}, "drifting:Drift has no expert of its own: give the folder"),
+        (
+            {"env": "gym:CartPole-v1"},
+            r"gym:CartPole-v1: its actions are Discrete\(2\), a bounded flat Box is",
+        ),
+        ({"env": "gym:FrozenLake-v1"}, r"gym:FrozenLake-v1: its observations are Discrete\(16\), a flat Box"),
+        ({"env": "gym:Nope-v0"}, "gym:Nope-v0: gymnasium cannot make 'Nope-v0'"),
+        (
+            {"env": "cartpole", "algo": "drifting:Drift"},
+            "algo drifting:Drift: .* is no learner, give a subclass",
+        ),
+        (
+            {"env": "cartpole", "teacher": "drifting:Drift"},
+            "teacher drifting:Drift: .* is no teacher, give a",
+        ),
+        ({"env": "cartpole", "oracle": "drifting:nobody"}, None),
+        ({"env": "cartpole", "step_size": 1}, "'step_size' is no setting"),
+        (
+            {"env": "cartpole", "algo": "drifting:Linear", "beta": 1},
+            "beta: with drifting:Linear alone it changes",
+        ),
+        (
+            {"env": "cartpole", "algo": "drifting:Linear", "step_size": "x"},
+            "step_size 'x': give a finite number",
+        ),
+    ],
+)
+def test_refused(settings, message):
+    if message is None:  # an expert is looked at when it is made
+        with pytest.raises(UserError, match="oracle drifting:nobody: drifting has no nobody"):
+            make_expert("cartpole", "drifting:nobody")
+        return
+    with pytest.raises(UserError, match=message):
+        spec_of(**settings)
+
+
+def test_what_fails_in_their_module_is_told_as_theirs(tmp_path, monkeypatch):
+    (tmp_path / "broken_task.py").write_text("import math\n\nvalue = math.sqrt(-1)\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(
+        ForeignError, match=r"env broken_task:Task: broken_task cannot be imported \(ValueError"
+    ) as told:
+        spec_of(env="broken_task:Task")
+    assert 'broken_task.py", line 3' in told.value.details and "registry.py" not in told.value.details
+    done = subprocess.run(
+        [sys.executable, "-m", "gpcjax", "sweep", "--env", "broken_task:Task"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+    )
+    assert done.returncode == 2
+    *traceback, line = done.stderr.splitlines()
+    assert traceback[0].startswith("Traceback") and line.startswith(
+        "gpcjax: error: --env broken_task:Task: broken_task"
+    )
