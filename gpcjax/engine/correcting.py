@@ -31,7 +31,7 @@ def correct(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
         place = index // moments
         lane, dimension = place // size, place % size
         learner = take(block.learner, lane, 0)
-        about = _credited(block, lane, index % moments)
+        about = _Credited(block, lane, index % moments)
         change, info = opaque(
             index,
             lambda learner, *arguments: learner._correct(*arguments),
@@ -69,7 +69,7 @@ def _correct_jointly(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
         states, controllers, tally, log, status = carry
         lane, which = index // moments, index % moments
         learner, given = take(block.learner, lane, 0), take(advice, lane, -1)
-        about = _credited(block, lane, which)
+        about = _Credited(block, lane, which)
         moment = Moment(
             obs=about.obs(), action=about.action(None), episode=block.episode[lane], step=about.step()
         )
@@ -172,10 +172,6 @@ class _Credited(NamedTuple):
         back = self._back()
         past = kept[(self.block.env.time[self.lane] - back) % kept.shape[0]]
         return jnp.where(back == 0, now, past)
-
-
-def _credited(block: Lane, lane: Int[Array, ""], which: Int[Array, ""]) -> _Credited:
-    return _Credited(block, lane, which)
 
 
 def _moments(credit: Credit | None) -> int:

@@ -193,7 +193,7 @@ def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any
     if is_folder(name):
         load = registry.resolve("gpcjax.policies.saved:load_policy")
         found = load(Path(name).expanduser())
-        made = registry.find("task", env_name).sizes or _sizes(env_name)
+        made = _sizes(env_name)
         has = found.controller.obs_size, found.controller.action_size
         if has != tuple(made):
             raise UserError(
@@ -209,7 +209,7 @@ def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any
 
 def _function(source: str, env_name: str, found: Any) -> Callable[[Any], Any]:
     """A function of an observation, made first where it is a class or a function without arguments."""
-    obs_size, action_size = registry.find("task", env_name).sizes or _sizes(env_name)
+    obs_size, action_size = _sizes(env_name)
     try:
         takes = [
             each
@@ -231,5 +231,4 @@ def _function(source: str, env_name: str, found: Any) -> Callable[[Any], Any]:
 
 
 def _sizes(env_name: str) -> tuple[int, int]:
-    env = make_env(env_name)
-    return env.obs_size, env.action_size
+    return registry.find("task", env_name).sizes or _sizes_of(make_env(env_name))

@@ -53,6 +53,8 @@ class HostEnv:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
     action_size: int = field(init=False)
+    time_step: float | None = field(init=False, compare=False, repr=False)
+    """Seconds of a step: `dt` of the environment, or what its frames a second say; None if it says neither."""
     _centre: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
     _reach: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)
     _limit: int | None = field(init=False, compare=False, repr=False)
@@ -76,6 +78,7 @@ class HostEnv:
         low, high = (np.asarray(bound, np.float64) for bound in (actions.low, actions.high))
         object.__setattr__(self, "_centre", (low + high) / 2)
         object.__setattr__(self, "_reach", (high - low) / 2)
+        object.__setattr__(self, "time_step", _time_step(env))
         own = getattr(env.spec, "max_episode_steps", None)
         limit = self.max_steps if self.max_steps is not None or own is not None else UNLIMITED
         object.__setattr__(self, "_limit", limit)
@@ -89,15 +92,6 @@ class HostEnv:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, options=MappingProxyType(state["options"]))
-
-    @property
-    def time_step(self) -> float | None:
-        """Seconds of a step: `dt` of the environment, or what its frames a second say; None if it says neither."""
-        env = self._make()
-        step = getattr(getattr(env, "unwrapped", env), "dt", None)
-        frames = (getattr(env, "metadata", None) or {}).get("render_fps")
-        said = [converted(float, step), *(1.0 / rate for rate in (converted(float, frames),) if rate)]
-        return next((value for value in said if value is not None and 0 < value < math.inf), None)
 
     def scaled(self, actions: Float[np.ndarray, "action *lanes"]) -> Float[np.ndarray, "action *lanes"]:
         """Actions in [-1, 1] between the bounds of the task; what is beyond is clipped."""
@@ -181,6 +175,13 @@ class Simulation:
         dtype = getattr(given, "dtype", None)
         form = shown(given) if dtype is None else f"{dtype} of shape {np.shape(given)}"
         return UserError(f"{type(self._env).__name__}.{method}: {what} is {form}, declared is {declared}")
+
+
+def _time_step(env: Any) -> float | None:
+    step = getattr(getattr(env, "unwrapped", env), "dt", None)
+    frames = (getattr(env, "metadata", None) or {}).get("render_fps")
+    said = [converted(float, step), *(1.0 / rate for rate in (converted(float, frames),) if rate)]
+    return next((value for value in said if value is not None and 0 < value < math.inf), None)
 
 
 def _is_box(space: Any) -> bool:
