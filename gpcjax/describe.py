@@ -75,6 +75,38 @@ class Column:
     text: str
 
 
+Key = Literal["left", "right", "up", "down"]
+"""An arrow of a keyboard, a touch screen or a gamepad."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """How a person says less or more of one dimension of an action: which arrow means it, and what it does in words."""
+
+    less: tuple[Key, str]
+    more: tuple[Key, str]
+
+
+@dataclass(frozen=True)
+class View:
+    """What a person sees of a task while teaching it (`gpcjax teach`).
+
+    | Field      | Meaning                                                                                     |
+    |------------|---------------------------------------------------------------------------------------------|
+    | `observed` | name, lowest and highest value of each number of an observation, as axes show it             |
+    | `controls` | of each dimension of an action                                                              |
+    | `scene`    | what the page draws of an observation; without one, pictures that the task makes, or numbers |
+    | `axes`     | the two numbers of an observation over which the policy is drawn first                      |
+    | `hint`     | what is to be reached, in a short sentence                                                  |
+    """
+
+    observed: tuple[tuple[str, float, float], ...] = ()
+    controls: tuple[Control, ...] = ()
+    scene: Literal["", "cartpole", "mountaincar", "pendulum"] = ""
+    axes: tuple[int, int] = (0, 1)
+    hint: str = ""
+
+
 @dataclass(frozen=True)
 class TaskSpec:
     """A task.
@@ -94,6 +126,7 @@ class TaskSpec:
     | `time_step`    | seconds of a step; None where a task has no unit of time: then delays are in steps      |
     | `obs_scale`    | how large each number of an observation usually is; None says nothing                   |
     | `presets`      | learner name -> keyword arguments of what makes it                                      |
+    | `view`         | what a person sees who teaches it                                                       |
     """
 
     name: str
@@ -109,6 +142,7 @@ class TaskSpec:
     time_step: float | None = None
     obs_scale: tuple[float, ...] | None = None
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, hash=False)
+    view: View = View()
 
     @property
     def title(self) -> str:

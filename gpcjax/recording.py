@@ -1,17 +1,18 @@
 """What happens in a session, a line of JSON for each event: kept at once, and read back to the bit.
 
 The first line has the session's `settings` and the `place` where it stood when the recording began; each further one is
-an event with its `episode` and `step` (from 0):
+an event with its `episode` and `step` (from 0), and its `time`, seconds since the program began to record:
 
 | `event`    | values   | Meaning                                                  |
 |------------|----------|----------------------------------------------------------|
-| `propose`  | `obs`    | a step began                                             |
+| `propose`  | `obs`, `action` | a step began, and what was proposed there          |
 | `executed` | `action` | what was executed there, where that is not what was proposed |
 | `advise`   | `advice` | h, -1, 0 or 1 for each action dimension                  |
 | `undo`     |          | the latest advice was taken back                         |
 | `end`      |          | the next step begins a new episode                       |
+| `note`     | `values` | what a program wants to be kept beside; it changes nothing |
 
-Numbers are written with all their digits.
+Numbers are written with all their digits. What began in another program than the event before it has a smaller `time`.
 """
 
 import contextlib
@@ -121,13 +122,18 @@ def _is_event(event: Mapping[str, Any]) -> bool:
     """Whether it has all that an event has, of the right kind."""
     match event:
         case {"event": "propose", "obs": [*numbers]} | {"event": "executed", "action": [*numbers]}:
-            sound = all(type(number) is float and math.isfinite(number) for number in numbers)
+            proposed = event.get("action", [])
+            sound = isinstance(proposed, list) and all(map(_is_number, [*numbers, *proposed]))
         case {"event": "advise", "advice": [*advice]}:
             sound = all(type(value) is int and -1 <= value <= 1 for value in advice)
-        case {"event": "undo" | "end"}:
+        case {"event": "undo" | "end"} | {"event": "note", "values": {}}:
             sound = True
         case _:
             return False
     # Before the first step nothing can happen but that an episode ends.
-    least = {"episode": 0, "step": -1 if event["event"] in ("undo", "end") else 0}
+    least = {"episode": 0, "step": -1 if event["event"] in ("undo", "end", "note") else 0}
     return sound and all(type(event.get(name)) is int and event[name] >= low for name, low in least.items())
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float and math.isfinite(value)

@@ -6,8 +6,9 @@ advice is `gpcjax.engine.correcting.correct`, with the same reckoning for advice
 
 import dataclasses
 import threading
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -19,20 +20,26 @@ from gpcjax._x64 import set_public_methods_under_own_settings, under_own_setting
 from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Numbers, checked, shown
 from gpcjax.engine.correcting import idle_is_due
 from gpcjax.engine.history import Credit
+from gpcjax.engine.lanes import Lane
 from gpcjax.engine.single import (
     advised,
     cleared,
+    has_room,
     idled,
+    measured,
     place_of,
     placed,
+    points_of,
     single,
     state_of,
     stepped,
     told,
+    uncertain,
     with_state,
 )
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.descriptions import CAPACITY
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
@@ -45,7 +52,9 @@ _NUMBERS = {
     "time_step": (float, POSITIVE),
     "seed": (int, Numbers(0, 2**63 - 1, whole=True)),
     "undos": (int, Numbers(0, 1_000, whole=True)),
+    "max_capacity": (int, CAPACITY),
 }
+_MAY_BE_ABSENT = ("credit", "credit_longest", "credit_shape", "max_capacity")
 
 
 class Session:
@@ -65,6 +74,8 @@ class Session:
         time_step: seconds of a step, for these.
         seed: of what the learner draws.
         undos: how many of the latest corrections can be undone.
+        max_capacity: points for which a dictionary is given room at most; what it does when it is full then is the
+            learner's `on_full`. Without it, one with `on_full="error"` grows for ever, and others never.
         record: a file to which every event is appended at once; `Session.replay` makes the session of it again, to the
             bit. It must not exist.
 
@@ -83,26 +94,29 @@ class Session:
         time_step: Any = 1.0,
         seed: Any = 0,
         undos: Any = 20,
+        max_capacity: Any = None,
         record: Any = None,
     ):
         if not isinstance(learner, Learner):
             raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
         self.learner: Learner = learner
         late = {"credit": credit, "credit_longest": credit_longest, "credit_shape": credit_shape}
-        given = {**late, "time_step": time_step, "seed": seed, "undos": undos}
+        given = {**late, "time_step": time_step, "seed": seed, "undos": undos, "max_capacity": max_capacity}
         self._settings: dict[str, Any] = {
-            name: None if name in late and value is None else checked(name, value, *_NUMBERS[name])
+            name: None if name in _MAY_BE_ABSENT and value is None else checked(name, value, *_NUMBERS[name])
             for name, value in given.items()
         }
         self._lock = threading.RLock()
-        self._undos: deque[tuple[State, int]] = deque(maxlen=self._settings["undos"])
+        self._undos: deque[tuple[Lane, int]] = deque(maxlen=self._settings["undos"])
         self._begun = self._begins = False
+        self._proposed = np.zeros(learner.action_size)
         self.corrections = 0
         """Advice that was learned, and not undone, counted for each action dimension."""
         names = (*late, "time_step")
         credits = Credit.of(*(self._settings[name] for name in names))
         self._block = single(learner, state, credits, self._settings["seed"])
         self._recording: Recording | None = None
+        self._records_since = time.monotonic()
         if record is not None:
             self._record(record)
 
@@ -115,6 +129,26 @@ class Session:
     def step(self) -> int:
         """The latest step of the episode, from 0; -1 before the first."""
         return int(self._block.env.time[0]) if self._begun else -1
+
+    @property
+    def obs(self) -> Float[np.ndarray, " obs"]:
+        """Of the latest step."""
+        return np.array(self._block.env.obs[:, 0])
+
+    @property
+    def action(self) -> Float[np.ndarray, " action"]:
+        """What was executed at the latest step."""
+        return np.array(self._block.action[:, 0])
+
+    @property
+    def proposed(self) -> Float[np.ndarray, " action"]:
+        """What the policy proposed at the latest step, before it was clipped to [-1, 1]."""
+        return self._proposed.copy()
+
+    @property
+    def undos(self) -> int:
+        """How many of the latest corrections `undo` can take back."""
+        return len(self._undos)
 
     @property
     @under_own_settings
@@ -136,12 +170,14 @@ class Session:
             if self._begun and self.learner.idle_every and idle_is_due(self.learner, block.env.time)[0]:
                 block = cleared(idled(block))
             begins, another = self._begins or not self._begun, self._begun and self._begins
-            block, finite = stepped(block, jnp.asarray(obs), jnp.asarray(begins), jnp.asarray(another))
-            if not finite[0]:
+            block, proposed, finite = stepped(block, obs, begins, another)
+            if not finite:
                 raise UserError(f"the policy's action at {shown(obs.tolist())} is no number")
             self._block, self._begun, self._begins = block, True, False
-            self._note("propose", obs=obs.tolist())
-            return np.array(block.action[:, 0])
+            self._proposed = proposed
+            action = np.array(np.asarray(block.action)[:, 0])
+            self._keep("propose", obs=obs.tolist(), action=action.tolist())
+            return action
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.
@@ -154,7 +190,7 @@ class Session:
         with self._lock:
             self._check_begun()
             self._block = dataclasses.replace(self._block, action=jnp.asarray(action)[:, None])
-            self._note("executed", action=action.tolist())
+            self._keep("executed", action=action.tolist())
 
     def advise(self, advice: Vector | float) -> Info:
         """Learns from advice: -1 for less, 1 for more, 0 for none, for each action dimension; or one number for one.
@@ -171,13 +207,13 @@ class Session:
             raise UserError(f"advice {shown(given.tolist())}: each entry must be -1, 0 or 1")
         with self._lock:
             self._check_begun()
-            before = self.state, self.corrections
+            before = self._block, self.corrections
             self._make_room()
-            block = advised(self._block, jnp.asarray(given)[:, None])
+            block = advised(self._block, given[:, None])
             self._undos.append(before)
             self.corrections += int(block.tally.corrections[0])
             self._block = cleared(block)
-            self._note("advise", advice=given.astype(int).tolist())
+            self._keep("advise", advice=given.astype(int).tolist())
             return told(block)
 
     def undo(self) -> bool:
@@ -185,16 +221,73 @@ class Session:
         with self._lock:
             if not self._undos:
                 return False
-            state, self.corrections = self._undos.pop()
-            self._block = with_state(self._block, self.learner, state)
-            self._note("undo")
+            before, self.corrections = self._undos.pop()
+            self._block = dataclasses.replace(self._block, state=before.state, controller=before.controller)
+            self._keep("undo")
             return True
 
     def end_episode(self) -> None:
         """The next step begins a new episode: advice that comes then is never about this one."""
         with self._lock:
             self._begins = self._begun
-            self._note("end")
+            self._keep("end")
+
+    def note(self, **values: Any) -> None:
+        """Keeps `values`, as JSON knows them, in the recording, if there is one: when a key was pressed, for one."""
+        with self._lock:
+            self._keep("note", values=values)
+
+    def uncertainty(self) -> Float[np.ndarray, " action"]:
+        """sigma_h at the latest step and what was executed there: how little advice was given about it.
+
+        NaN for a learner that does not know it.
+
+        Raises:
+            ValueError: no step has begun.
+        """
+        with self._lock:
+            self._check_begun()
+            return np.asarray(uncertain(self._block))
+
+    def warm_up(self, *, ahead: bool = False) -> None:
+        """Compiles all that steps and advice need, which otherwise happens when they come first; nothing is learned.
+
+        It may run in a thread of its own while others go on.
+
+        Args:
+            ahead: not for the room that there is in the dictionaries, but for twice of it, which is given when they
+                are full.
+        """
+        with self._lock:
+            block = self._block
+        if ahead:
+            larger = self._grown(block) if self._may_grow(block) else None
+            if larger is None:
+                return
+            block = larger
+        block, _, _ = stepped(block, np.zeros(self.learner.obs_size), True, False)
+        if self.learner.idle_every:
+            cleared(idled(block))
+        has_room(block, self._corrections_at_once)
+        block = advised(block, np.zeros((self.learner.action_size, 1)))
+        told(block)
+        uncertain(block), points_of(block), measured(block)
+        self.learner.policy_of(state_of(block))(np.zeros(self.learner.obs_size))
+
+    @property
+    def room(self) -> tuple[tuple[int, ...], ...]:
+        """The shapes of the state's arrays: others than before tell that there is more room in it."""
+        return tuple(leaf.shape[1:] for leaf in jax.tree.leaves(self._block.state))
+
+    @property
+    def points(self) -> tuple[int, int]:
+        """Points held by the policies and by the human models, over all action dimensions; 0, 0 without any."""
+        policy, human = points_of(self._block)
+        return int(policy), int(human)
+
+    def measure(self) -> dict[str, float]:
+        """What the learner measures of itself, by name (`Learner.measure`)."""
+        return {name: float(value) for name, value in measured(self._block).items()}
 
     def policy(self) -> Policy:
         """What has been taught so far, as a function of an observation; it stays as it is."""
@@ -235,7 +328,13 @@ class Session:
     @classmethod
     @under_own_settings
     def replay(
-        cls, record: Any, learner: Learner, state: State | None = None, *, go_on: bool = False
+        cls,
+        record: Any,
+        learner: Learner,
+        state: State | None = None,
+        *,
+        go_on: bool = False,
+        told: "Told | None" = None,
     ) -> "Session":
         """The session whose events are in the file `record`, made again: the same to the bit, on the same machine.
 
@@ -243,19 +342,23 @@ class Session:
             record: what a session with `record=` has written, also one whose program has died.
             learner, state: those that it was begun with.
             go_on: append what follows to the same file.
+            told: called after each event with the session, the event, and what its method gave.
 
         Raises:
-            ValueError: the file cannot be read, is no recording, or one of another kind of learner.
+            ValueError: the file cannot be read, is no recording, or one of another kind of learner; or an action is
+                another one than was recorded, as on another kind of machine. The message names line and step.
         """
         first, events = Recording.read(record)
         session = cls._at(str(record), learner, state, first)
         for number, event in enumerate(events, 2):
             try:
-                session._again(event)
+                outcome = session._again(event)
             except UserError as error:
                 raise UserError(f"{record}, line {number}: {error}") from None
             if (session.episode, session.step) != (event["episode"], event["step"]):
                 raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
+            if told is not None:
+                told(session, event, outcome)
         if go_on:
             session._recording = Recording.again(record)
         return session
@@ -265,7 +368,9 @@ class Session:
         """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
-            if settings.keys() != _NUMBERS.keys():
+            if not settings.keys() <= _NUMBERS.keys() or not _NUMBERS.keys() - settings.keys() <= {
+                "max_capacity"
+            }:
                 raise UserError("its settings are those of another version")
             session = cls(learner, state, **settings)
             session._move(place)
@@ -286,27 +391,50 @@ class Session:
         self._begun, self._begins = bool(place["begun"]), bool(place["begins"])
         self.corrections = int(place["corrections"])
 
-    def _again(self, event: Mapping[str, Any]) -> None:
-        """Does what an event of a recording tells of."""
+    def _again(self, event: Mapping[str, Any]) -> Any:
+        """Does what an event of a recording tells of, and gives what that gave."""
         match event:
             case {"event": "propose", "obs": obs}:
-                self.propose(obs)
+                action = self.propose(obs)
+                recorded = event.get("action", action.tolist())
+                if action.tolist() != recorded:
+                    place = f"episode {self.episode}, step {self.step}"
+                    raise UserError(f"{place}: the action was {recorded}, it is {action.tolist()} here")
+                return action
             case {"event": "executed", "action": action}:
-                self.executed(action)
+                return self.executed(action)
             case {"event": "advise", "advice": advice}:
-                self.advise(advice)
+                return self.advise(advice)
             case {"event": "undo"}:
-                self.undo()
+                return self.undo()
             case {"event": "end"}:
-                self.end_episode()
+                return self.end_episode()
+        return None
+
+    @property
+    def _corrections_at_once(self) -> int:
+        return 1 if self._block.credit is None else self._block.credit.moments
 
     def _make_room(self) -> None:
-        corrections = 1 if self._block.credit is None else self._block.credit.moments
-        while self.learner.wants_room and not self.learner.has_room(self.state, corrections):
-            state = self.learner.grow(self.state)
-            if _shapes(state) == _shapes(self.state):
-                return  # one of a person's own that does not grow: it knows what to do
-            self._block = with_state(self._block, self.learner, state)
+        while self._may_grow(self._block) and not has_room(self._block, self._corrections_at_once):
+            larger = self._grown(self._block)
+            if larger is None:
+                return
+            self._block = larger
+
+    def _may_grow(self, block: Lane) -> bool:
+        most = self._settings["max_capacity"]
+        if most is None:
+            return self.learner.wants_room
+        return (
+            max((max(leaf.shape[1:], default=0) for leaf in jax.tree.leaves(block.state)), default=0) < most
+        )
+
+    def _grown(self, block: Lane) -> Lane | None:
+        """The block with twice the room; None where that is the same, as it is for learners that know what to do."""
+        before = state_of(block)
+        state = self.learner.grow(before)
+        return None if _shapes(state) == _shapes(before) else with_state(block, self.learner, state)
 
     def _numbers(self, name: str, value: Vector, size: int) -> np.ndarray:
         numbers = np.asarray(vector(name, value, size, "this learner"))
@@ -321,9 +449,14 @@ class Session:
     def _record(self, path: Any) -> None:
         self._recording = Recording.new(path, self._settings, self._place())
 
-    def _note(self, event: str, **values: Any) -> None:
+    def _keep(self, event: str, **values: Any) -> None:
         if self._recording is not None:
-            self._recording.append({"event": event, "episode": self.episode, "step": self.step, **values})
+            now = round(time.monotonic() - self._records_since, 4)
+            place = {"episode": self.episode, "step": self.step, "time": now}
+            self._recording.append({"event": event, **place, **values})
+
+
+Told = Callable[[Session, Mapping[str, Any], Any], None]
 
 
 def _shapes(state: State) -> list[tuple[int, ...]]:

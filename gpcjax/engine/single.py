@@ -1,6 +1,7 @@
 """A block of one lane without a task: for a session, the steps of the batched loops one by one."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,12 +12,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.engine.correcting import correct
-from gpcjax.engine.history import Credit
-from gpcjax.engine.lanes import Lane, empty_tally, fresh, map_lanes
-from gpcjax.engine.stepping import moment_of, propose, remember
+from gpcjax.engine.history import Credit, History
+from gpcjax.engine.lanes import Lane, Tally, empty_tally, fresh, map_lanes
+from gpcjax.engine.stepping import propose, remember
 from gpcjax.envs.base import State as EnvState
 from gpcjax.envs.base import begin
 from gpcjax.learners.base import Info, Learner, State
+from gpcjax.moment import Moment
+from gpcjax.policies.base import Controller
 from gpcjax.teachers.base import Teacher
 
 _KEPT = ("obs", "action")
@@ -97,21 +100,67 @@ def placed(block: Lane, place: Mapping[str, Any]) -> Lane:
     return dataclasses.replace(block, env=env, history=history, action=action, episode=episode)
 
 
-@eqx.filter_jit
 def stepped(
-    block: Lane, obs: Float[Array, " obs"], begins: Bool[Array, ""], another: Bool[Array, ""]
-) -> tuple[Lane, Bool[Array, " 1"]]:
-    """The block at its next step, and whether its action is a number.
+    block: Lane, obs: Float[np.ndarray, " obs"], begins: bool, another: bool
+) -> tuple[Lane, Float[np.ndarray, " action"], bool]:
+    """The block at its next step, what is proposed there before it is clipped, and whether that is a number.
 
     With `begins` it is the first step of an episode, of `another` one than before if there was one.
     """
-    history = remember(block.history, moment_of(block), ~begins[None])
-    time = jnp.where(begins, 0, block.env.time + 1).astype(jnp.int32)
-    env = _at(block.env, obs[:, None], time)
-    proposed, finite = propose(block.controller, env.obs, block.tally.returns)
-    action = jnp.clip(proposed, -1.0, 1.0)
-    episode = block.episode + another
-    return dataclasses.replace(block, env=env, episode=episode, action=action, history=history), finite
+    flags = np.array([begins, another])
+    moving = block.env, block.action, block.episode, block.history
+    env, action, episode, history, proposed, finite = _step(block.controller, moving, obs, flags)
+    block = dataclasses.replace(block, env=env, action=action, episode=episode, history=history)
+    return block, np.asarray(proposed)[:, 0], bool(np.asarray(finite)[0])
+
+
+@eqx.filter_jit
+def _step(
+    controller: Controller,
+    moving: tuple[EnvState, Float[Array, "action 1"], Int[Array, " 1"], History | None],
+    obs: Float[Array, " obs"],
+    flags: Bool[Array, " 2"],
+) -> tuple[Any, ...]:
+    # Without the learner's state, most of a block's leaves: each costs its share of a call.
+    env, action, episode, history = moving
+    begins, another = flags
+    before = Moment(obs=env.obs, action=action, episode=episode, step=env.time)
+    history = remember(history, before, ~begins[None])
+    env = _at(env, obs[:, None], jnp.where(begins, 0, env.time + 1).astype(jnp.int32))
+    proposed, finite = propose(controller, env.obs, jnp.zeros(1))
+    return env, jnp.clip(proposed, -1.0, 1.0), episode + another, history, proposed, finite
+
+
+@eqx.filter_jit
+def has_room(block: Lane, corrections: int) -> Bool[Array, ""]:
+    """Whether so many more corrections of each action dimension surely fit."""
+    learner, state = _alone(block)
+    return learner.has_room(state, corrections)
+
+
+@eqx.filter_jit
+def points_of(block: Lane) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """Points held by the policies and by the human models, over all action dimensions."""
+    learner, state = _alone(block)
+    return learner.points(state)
+
+
+@eqx.filter_jit
+def uncertain(block: Lane) -> Float[Array, " action"]:
+    """sigma_h at the present step and what was executed there; NaN of a learner that does not know it."""
+    learner, state = _alone(block)
+    return learner._uncertainty(state, block.env.obs[:, 0], block.action[:, 0])
+
+
+@eqx.filter_jit
+def measured(block: Lane) -> dict[str, Float[Array, ""]]:
+    """What the learner measures of itself."""
+    learner, state = _alone(block)
+    return learner.measure(state)
+
+
+def _alone(block: Lane) -> tuple[Learner, State]:
+    return jax.tree.map(lambda leaf: leaf[0], (block.learner, block.state))
 
 
 @eqx.filter_jit
@@ -128,22 +177,26 @@ def idled(block: Lane) -> Lane:
 
 def told(block: Lane) -> Info:
     """What the corrections of a block have done that was `cleared` before them."""
-    log = jax.tree.map(lambda leaf: np.asarray(leaf[0]), block.log)
-    count, action_size = int(log.count), block.action.shape[0]
-    dimensions = log.where[:count, 2]
-    values, outcome = np.full((action_size, 3), np.nan), np.zeros((action_size, 3), bool)
-    values[:, 0] = 0.0
-    values[dimensions], outcome[dimensions] = log.values[:count], log.outcome[:count]
-    rate, sigma_policy, sigma_human = jnp.asarray(values.T)
-    appended, replaced, full = jnp.asarray(outcome.T)
-    return Info(rate, sigma_policy, sigma_human, appended, replaced, full, block.status[0])
+    count, action_size = int(np.asarray(block.log.count)[0]), block.action.shape[0]
+    logged = (np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome"))
+    where, values, outcome = logged
+    numbers, flags = np.full((action_size, 3), np.nan), np.zeros((action_size, 3), bool)
+    numbers[:, 0] = 0.0
+    numbers[where[:, 2]], flags[where[:, 2]] = values, outcome
+    return Info(*jax.device_put((*numbers.T, *flags.T, np.asarray(block.status)[0])))
 
 
 def cleared(block: Lane) -> Lane:
     """The block without what was counted."""
-    tally = jax.tree.map(lambda leaf: leaf[None], empty_tally())
-    log = dataclasses.replace(block.log, count=jnp.zeros(1, jnp.int32))
-    return dataclasses.replace(block, tally=tally, log=log, status=jnp.zeros_like(block.status))
+    tally, zero = _nothing()
+    log = dataclasses.replace(block.log, count=zero)
+    return dataclasses.replace(block, tally=tally, log=log, status=zero)
+
+
+@functools.cache
+def _nothing() -> tuple[Tally, Int[Array, " 1"]]:
+    """Nothing counted in a block of one lane: made once, as an array is a call of its own to make."""
+    return jax.tree.map(lambda leaf: leaf[None], empty_tally()), jnp.zeros(1, jnp.int32)
 
 
 def _at(env: EnvState, obs: Float[Array, "obs 1"], time: Int[Array, " 1"]) -> EnvState:

@@ -8,7 +8,7 @@ thesis.
 from types import MappingProxyType
 from typing import Any
 
-from gpcjax.describe import TaskSpec
+from gpcjax.describe import Control, TaskSpec, View
 
 _SHIPPED = "gpcjax.policies.saved:load_shipped"
 
@@ -47,6 +47,18 @@ CARTPOLE = TaskSpec(
     sizes=(4, 1),
     obs_scale=(1.0, 1.0, 0.13, 0.4),
     time_step=0.02,
+    view=View(
+        scene="cartpole",
+        observed=(
+            ("place (m)", -2.4, 2.4),
+            ("speed (m/s)", -2.0, 2.0),
+            ("angle (rad)", -0.21, 0.21),
+            ("turning (rad/s)", -2.0, 2.0),
+        ),
+        controls=(Control(less=("left", "push left"), more=("right", "push right")),),
+        axes=(2, 3),
+        hint="Keep the pole upright and the cart on its track.",
+    ),
     presets=MappingProxyType(
         {
             "gpc": _gp(0.01, 0.2, 0.01, 0.2, 1.5, 0.02, scaling=(1.0, 1.0, 1 / 0.13, 1 / 0.4)),
@@ -80,6 +92,18 @@ PENDULUM = TaskSpec(
     sizes=(3, 1),
     obs_scale=(1.0, 1.0, 6.0),
     time_step=0.05,
+    view=View(
+        scene="pendulum",
+        observed=(
+            ("cos of the angle", -1.0, 1.0),
+            ("sin of the angle", -1.0, 1.0),
+            ("turning (rad/s)", -8.0, 8.0),
+        ),
+        # A positive torque turns it counter-clockwise: its lower half, where it starts, to the right.
+        controls=(Control(less=("right", "turn clockwise"), more=("left", "turn counter-clockwise")),),
+        axes=(1, 2),
+        hint="Swing the rod up and hold it there. The motor is weak: let it swing higher and higher.",
+    ),
     presets=MappingProxyType(
         {
             "gpc": _gp(0.7, 0.1, 0.01, 0.7, 0.5, 0.01, scaling=(1.0, 1.0, 1 / 6)),
@@ -107,6 +131,25 @@ LUNAR_LANDER = TaskSpec(
     on_host=True,
     sizes=(8, 2),
     time_step=0.02,
+    view=View(
+        observed=(
+            ("place", -1.0, 1.0),
+            ("height", 0.0, 1.5),
+            ("speed sideways", -1.0, 1.0),
+            ("speed upwards", -1.5, 0.5),
+            ("angle (rad)", -0.7, 0.7),
+            ("turning", -1.0, 1.0),
+            ("left leg touches", 0.0, 1.0),
+            ("right leg touches", 0.0, 1.0),
+        ),
+        controls=(
+            Control(less=("down", "less thrust"), more=("up", "more thrust")),
+            # The left engine pushes it to the right.
+            Control(less=("right", "fire the left engine"), more=("left", "fire the right engine")),
+        ),
+        axes=(1, 3),
+        hint="Land between the flags, upright and slowly.",
+    ),
     presets=MappingProxyType(
         {
             # Table 5.3 is what holds for GPC and GPC-NS where nothing else is said (`gpcjax.learners.descriptions`).
@@ -131,6 +174,12 @@ MOUNTAIN_CAR = TaskSpec(
     episodes=30,
     sizes=(2, 1),
     obs_scale=(0.5, 0.04),
+    view=View(
+        scene="mountaincar",
+        observed=(("place", -1.2, 0.6), ("speed", -0.07, 0.07)),
+        controls=(Control(less=("left", "push left"), more=("right", "push right")),),
+        hint="Reach the flag on the hill. The engine is weak: swing up on both sides first.",
+    ),
     presets=MappingProxyType(
         {
             # Chosen by the grids of sweeps/grid_mountaincar_*.toml, which tell their figures.
