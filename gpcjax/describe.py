@@ -200,6 +200,7 @@ class TeacherSpec:
     | `needs_expert` | it aims at the actions of an expert                                          |
     | `label`        | as reports write it                                                          |
     | `action_size`  | of the tasks that it teaches; None is any                                    |
+    | `live`         | advises while it watches: no sweep can ask it, its rows come from `gpcjax teach` |
     """
 
     name: str
@@ -208,6 +209,7 @@ class TeacherSpec:
     needs_expert: bool = True
     label: str = ""
     action_size: int | None = None
+    live: bool = False
 
     @property
     def title(self) -> str:

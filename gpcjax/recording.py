@@ -16,6 +16,7 @@ Numbers are written with all their digits. What began in another program than th
 """
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -27,6 +28,9 @@ from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 
 FORMAT = 1
+
+RECORD = "session.jsonl"
+"""The name of the file in the folder of what a person taught in the browser."""
 
 
 class Recording:
@@ -68,8 +72,21 @@ class Recording:
     def append(self, event: Mapping[str, Any]) -> None:
         """Writes one event. Raises UserError: it cannot be written, or the file was taken away."""
         line = json.dumps(event, allow_nan=False) + "\n"
+        with _writing(self._path), open(self._path, "ab", buffering=0, opener=_existing) as file:
+            before = file.seek(0, os.SEEK_END)
+            try:
+                written = file.write(line.encode())
+                if written < len(line):  # a full disk takes a part
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except OSError:
+                with contextlib.suppress(OSError):
+                    file.truncate(before)
+                raise
+
+    def flush(self) -> None:
+        """Has all that was appended on the disk. Raises UserError: it cannot be written."""
         with _writing(self._path), open(self._path, "ab", opener=_existing) as file:
-            file.write(line.encode())
+            os.fsync(file.fileno())
 
     @staticmethod
     def read(path: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -86,6 +86,10 @@ _FOUND: dict[tuple[Kind, str], Spec] = {}
 
 
 def _elsewhere(kind: Kind, name: str, source: str) -> Spec:
+    if kind == "teacher" and name == "person":
+        return resolve("gpcjax.teachers.descriptions:PERSON")
+    if kind == "teacher" and os.path.isdir(os.path.expanduser(name)):
+        return resolve("gpcjax.teachers.replay:described_record")(name, source)
     prefix, colon, rest = name.partition(":")
     if colon and kind == "task" and prefix in ("gym", "brax"):
         return resolve("gpcjax.envs.foreign:described_elsewhere")(prefix, rest)
@@ -193,7 +197,10 @@ def _entry_points(kind: Kind) -> Mapping[str, importlib.metadata.EntryPoint]:
 
 def choices(kind: Kind, known: Iterable[str]) -> str:
     """What may be given as a name of this kind, in words; `known` are those that can be listed."""
-    more = {"task": ("gym:ID", "brax:NAME"), "teacher": ("replay:FILE",)}.get(kind, ())
+    more = {
+        "task": ("gym:ID", "brax:NAME"),
+        "teacher": ("replay:FILE", "the folder of a taught policy"),
+    }.get(kind, ())
     *first, last = [*known, "module:NAME", *more]
     return f"{', '.join(first)} or {last}"
 

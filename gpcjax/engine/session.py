@@ -4,11 +4,12 @@ The steps are those of the engine's own loops, on a block of one lane: `propose`
 advice is `gpcjax.engine.correcting.correct`, with the same reckoning for advice that comes late.
 """
 
+import contextlib
 import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import jax
@@ -22,6 +23,7 @@ from gpcjax.engine.correcting import idle_is_due
 from gpcjax.engine.history import Credit
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.single import (
+    acts,
     advised,
     cleared,
     has_room,
@@ -173,11 +175,17 @@ class Session:
             block, proposed, finite = stepped(block, obs, begins, another)
             if not finite:
                 raise UserError(f"the policy's action at {shown(obs.tolist())} is no number")
-            self._block, self._begun, self._begins = block, True, False
-            self._proposed = proposed
             action = np.array(np.asarray(block.action)[:, 0])
-            self._keep("propose", obs=obs.tolist(), action=action.tolist())
+            with self._recorded():
+                self._block, self._begun, self._begins = block, True, False
+                self._proposed = proposed
+                self._keep("propose", obs=obs.tolist(), action=action.tolist())
             return action
+
+    def act(self, obs: Vector) -> Float[np.ndarray, " action"]:
+        """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
+        obs = self._numbers("obs", obs, self.learner.obs_size)
+        return np.array(acts(self._block.controller, obs))
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.
@@ -189,8 +197,9 @@ class Session:
         check_executed(action)
         with self._lock:
             self._check_begun()
-            self._block = dataclasses.replace(self._block, action=jnp.asarray(action)[:, None])
-            self._keep("executed", action=action.tolist())
+            with self._recorded():
+                self._block = dataclasses.replace(self._block, action=jnp.asarray(action)[:, None])
+                self._keep("executed", action=action.tolist())
 
     def advise(self, advice: Vector | float) -> Info:
         """Learns from advice: -1 for less, 1 for more, 0 for none, for each action dimension; or one number for one.
@@ -210,10 +219,11 @@ class Session:
             before = self._block, self.corrections
             self._make_room()
             block = advised(self._block, given[:, None])
+            with self._recorded():
+                self.corrections += int(np.asarray(block.tally.corrections)[0])
+                self._block = cleared(block)
+                self._keep("advise", advice=given.astype(int).tolist())
             self._undos.append(before)
-            self.corrections += int(block.tally.corrections[0])
-            self._block = cleared(block)
-            self._keep("advise", advice=given.astype(int).tolist())
             return told(block)
 
     def undo(self) -> bool:
@@ -228,7 +238,7 @@ class Session:
 
     def end_episode(self) -> None:
         """The next step begins a new episode: advice that comes then is never about this one."""
-        with self._lock:
+        with self._lock, self._recorded():
             self._begins = self._begun
             self._keep("end")
 
@@ -236,6 +246,15 @@ class Session:
         """Keeps `values`, as JSON knows them, in the recording, if there is one: when a key was pressed, for one."""
         with self._lock:
             self._keep("note", values=values)
+
+    def flush(self) -> None:
+        """Has the recording on the disk, as far as it goes; without it, that is left to the system.
+
+        Raises:
+            ValueError: it cannot be written.
+        """
+        if self._recording is not None:
+            self._recording.flush()
 
     def uncertainty(self) -> Float[np.ndarray, " action"]:
         """sigma_h at the latest step and what was executed there: how little advice was given about it.
@@ -272,7 +291,7 @@ class Session:
         block = advised(block, np.zeros((self.learner.action_size, 1)))
         told(block)
         uncertain(block), points_of(block), measured(block)
-        self.learner.policy_of(state_of(block))(np.zeros(self.learner.obs_size))
+        acts(block.controller, np.zeros(self.learner.obs_size))
 
     @property
     def room(self) -> tuple[tuple[int, ...], ...]:
@@ -448,6 +467,17 @@ class Session:
 
     def _record(self, path: Any) -> None:
         self._recording = Recording.new(path, self._settings, self._place())
+
+    @contextlib.contextmanager
+    def _recorded(self) -> Iterator[None]:
+        """What cannot be written down has not happened."""
+        names = ("_block", "_begun", "_begins", "_proposed", "corrections")
+        before = {name: getattr(self, name) for name in names}
+        try:
+            yield
+        except UserError:
+            vars(self).update(before)
+            raise
 
     def _keep(self, event: str, **values: Any) -> None:
         if self._recording is not None:

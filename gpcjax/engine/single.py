@@ -132,6 +132,12 @@ def _step(
 
 
 @eqx.filter_jit
+def acts(controller: Controller, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    """What a block's controller does at an observation, clipped."""
+    return jnp.clip(controller(obs[:, None])[:, 0], -1.0, 1.0)
+
+
+@eqx.filter_jit
 def has_room(block: Lane, corrections: int) -> Bool[Array, ""]:
     """Whether so many more corrections of each action dimension surely fit."""
     learner, state = _alone(block)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from gpcjax.allowed import STEPS, checked, converted, holds_numbers, is_no_data, shown
 from gpcjax.errors import UserError
@@ -98,11 +98,18 @@ class HostEnv:
         shape = (-1,) + (1,) * (actions.ndim - 1)
         return self._centre.reshape(shape) + self._reach.reshape(shape) * actions.clip(-1.0, 1.0)
 
-    def simulate(self) -> "Simulation":
-        """A simulation of its own; `reset` comes first."""
-        return Simulation(self._make(), self._limit, self.obs_size, whole=self.max_steps is None)
+    def simulate(self, pictures: bool = False) -> "Simulation":
+        """A simulation of its own; `reset` comes first. With `pictures` it makes them, where the task can."""
+        more = {"render_mode": "rgb_array"} if pictures and self.makes_pictures else {}
+        return Simulation(self._make(**more), self._limit, self.obs_size, whole=self.max_steps is None)
 
-    def _make(self) -> Any:
+    @property
+    def makes_pictures(self) -> bool:
+        """Whether the task says that it can show itself."""
+        modes = (getattr(self._make(), "metadata", None) or {}).get("render_modes") or ()
+        return "rgb_array" in modes
+
+    def _make(self, **more: Any) -> Any:
         import gymnasium
 
         with warnings.catch_warnings():
@@ -110,8 +117,8 @@ class HostEnv:
             warnings.simplefilter("ignore", DeprecationWarning)
             try:
                 if isinstance(self.gym_id, type):
-                    return self.gym_id(**self.options)
-                made = gymnasium.make(self.gym_id, disable_env_checker=True, **self.options)
+                    return self.gym_id(**self.options, **more)
+                made = gymnasium.make(self.gym_id, disable_env_checker=True, **self.options, **more)
                 return made if self.max_steps is None else made.unwrapped
             except (gymnasium.error.Error, ImportError, TypeError, AssertionError) as error:
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
@@ -164,6 +171,14 @@ class Simulation:
                 raise self._odd("step", name, flag, "a truth value")
         late = self._limit is not None and self._time >= self._limit
         return Outcome(obs, reward, bool(terminated), late or (self._whole and bool(truncated)))
+
+    def picture(self) -> UInt8[np.ndarray, "height width 3"] | None:
+        """What it looks like now, of a simulation with pictures; None of another."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of gymnasium, about calls without a mode
+            given = self._env.render()
+        array = np.asarray(given) if given is not None else None
+        return array if array is not None and array.ndim == 3 and array.dtype == np.uint8 else None
 
     def _observed(self, method: str, obs: Any) -> Float[np.ndarray, " obs"]:
         array = np.asarray(obs)

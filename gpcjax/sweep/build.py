@@ -39,6 +39,11 @@ def start_of(cell: Cell) -> Start:
     return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
 
 
+def learner_of(cell: Cell) -> Learner:
+    """The learner of a cell, with the room of its first block."""
+    return _learner(cell, dict(cell.hyperparameters))
+
+
 @functools.lru_cache(maxsize=1024)
 def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
     """Learner, teacher and credit of a cell, which all seeds share."""

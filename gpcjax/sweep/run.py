@@ -101,7 +101,7 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
     except DamagedManifest:
         set_aside(out, out / MANIFEST)
         what = f"was damaged and lies in {out / DAMAGED} now"
-    manifest = _new_manifest(spec, names, cells)
+    manifest = new_manifest(spec, names, cells)
     if own_parts(out, manifest["hash"]):
         # Its parts may be all that there is to compute, and of other versions or another machine than these.
         origins = origins_of(out, manifest["hash"])
@@ -201,7 +201,8 @@ class _Sweep:
         write_manifest(self._out, self._manifest)
 
 
-def _new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any]:
+def new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any]:
+    """The manifest of a sweep that has not run yet; `names` are its varying settings."""
     return {
         "format": FORMAT,
         "hash": specification_hash(spec),
@@ -209,7 +210,7 @@ def _new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, An
         "varying": names,
         "cells": cells,
         "baselines": {"idle": None, "oracles": {}},
-        "versions": _versions(),
+        "versions": versions(),
         "machine": machine.describe(),
         "jobs": 0,
         **dict.fromkeys(_ACCUMULATED, 0),
@@ -222,13 +223,14 @@ _ACCUMULATED = ("wall_time_s", "compile_time_s", "env_steps")
 """Numbers of the manifest that grow when an interrupted sweep goes on. Compile time is the sum over processes."""
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of what rows are computed with."""
     libraries = {name: importlib.metadata.version(name) for name in _LIBRARIES}
     return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
 
 
 def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
-    for name, version in _versions().items():
+    for name, version in versions().items():
         before = manifest["versions"].get(name)
         if before != version:
             raise UserError(

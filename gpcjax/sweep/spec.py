@@ -179,10 +179,11 @@ def spec_of(**settings: Any) -> SweepSpec:
     return make_spec(given)
 
 
-def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
+def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> SweepSpec:
     """The specification of settings: defaults filled in, and all that must fit together does.
 
-    `out`, `jobs` and `rate_from` may be among the settings; they are no part of it.
+    `out`, `jobs` and `rate_from` may be among the settings; they are no part of it. `live` is for what a person
+    teaches: its rows are those of such a sweep, but no sweep can make them.
 
     Raises:
         UserError: no env, an oracle that the env has not, a setting that nobody has, or one that would change nothing.
@@ -194,6 +195,11 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
     algo = settings.get("algo", OPTIONS["algo"].default)
     learners = [find("learner", name) for name in algo]
     teacher = find("teacher", settings.get("teacher", ORACLE))
+    if teacher.live and not live:
+        raise UserError(
+            f"teacher {teacher.name}: in a sweep nobody is there to advise: teach with gpcjax teach, and give its "
+            "folder as teacher"
+        )
     own = settings_of(learners, [teacher])
     known = {name: _known(name, setting, own) for name, setting in given.items()}
     known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}
@@ -205,7 +211,7 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
         )
     for oracle in value.get("oracle", ()):
         check_expert(task.name, oracle, known["oracle"].source)
-    if "oracle" not in value and not task.experts:
+    if "oracle" not in value and not task.experts and not teacher.live:
         raise UserError(
             f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
             "(--oracle, or oracle = in the TOML file)"
@@ -228,7 +234,7 @@ def make_spec(given: Mapping[str, Given | Unchecked]) -> SweepSpec:
         )
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
         "episodes": task.episodes,
-        "oracle": tuple(task.experts)[:1],
+        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
     }

@@ -54,4 +54,7 @@ ORACLE = TeacherSpec(
     ),
 )
 
+PERSON = TeacherSpec(name="person", make="", label="a person", needs_expert=False, live=True)
+"""Who teaches in the browser. It is found by its name, as rows have it, and listed nowhere: no sweep can ask it."""
+
 TEACHERS = (ORACLE,)

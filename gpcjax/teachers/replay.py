@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from pathlib import Path
 
 import jax
@@ -12,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from gpcjax.describe import TeacherSpec
 from gpcjax.errors import UserError
 from gpcjax.moment import Moment
-from gpcjax.recording import Recording
+from gpcjax.recording import RECORD, Recording
 from gpcjax.teachers.base import Teacher
 
 LARGEST = 1 << 24
@@ -57,13 +58,16 @@ class Replay(Teacher):
 
 
 def described_record(path: str, source: str) -> TeacherSpec:
-    """The teacher `replay:PATH` of a sweep.
+    """The teacher `replay:PATH` of a sweep: a file, or the folder of what a person taught in the browser.
 
     Raises:
         UserError: there is no recording, or one without advice; `source` begins the message.
     """
+    file = os.path.expanduser(path)
+    if os.path.isdir(file):
+        file = os.path.join(file, RECORD)
     try:
-        table = read_advice(path)
+        table = read_advice(file)
     except UserError as error:
         raise UserError(f"{source} replay:{error}") from None
     return TeacherSpec(

@@ -187,11 +187,11 @@ class TestOtherVersions:
         def make(fails_after):
             pretend(fails_after)
             with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
-                patch.setattr(run_module, "_versions", lambda: versions() | {"jax": "0.4.1"})
+                patch.setattr(run_module, "versions", lambda: versions() | {"jax": "0.4.1"})
                 sweep(tmp_path, **SETTINGS)
             return pretend()
 
-        versions = run_module._versions
+        versions = run_module.versions
 
         return make
 

@@ -1,0 +1,1 @@
+"""A person teaches a policy in the browser: `gpcjax teach`, with the extra `teach`."""

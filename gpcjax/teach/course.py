@@ -1,0 +1,138 @@
+"""What is taught in a folder, and what the folder holds. Loads no jax.
+
+OUT/course.json      task, learner, settings, seed; with what and where it was begun
+OUT/session.jsonl    the recording: every event as it happens (`gpcjax.recording`)
+OUT/start/           the saved learner that it began with, if it was opened from one
+OUT/saves/NAME/      what was saved, for `Session.load`
+OUT/policy/          the policy so far: an oracle for sweeps, for `load_policy`
+OUT/manifest.json, episodes/, corrections/    its rows, as those of a sweep
+"""
+
+import dataclasses
+import json
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from gpcjax.errors import UserError
+from gpcjax.recording import RECORD
+from gpcjax.registry import find
+from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.options import OPTIONS
+from gpcjax.sweep.plan import Cell, plan
+from gpcjax.sweep.run import versions
+from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec
+
+FORMAT = 1
+COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"
+
+LARGEST_DICTIONARY = 1024
+"""Points at most while a person waits: a correction of GPC-NS takes 50 ms there, and four times that beyond."""
+
+__all__ = ["COURSE", "POLICY", "RECORD", "SAVES", "START", "Course", "new_folder"]
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a person teaches: a task and a learner with its settings."""
+
+    env: str
+    algo: str
+    settings: tuple[tuple[str, float], ...] = ()
+    """By name, those that were given: of the learner, and `credit`, `credit_longest`, `credit_shape`."""
+    seed: int = 0
+    """Of the starts, which are those of a sweep with this seed, and of what the learner draws."""
+
+    @classmethod
+    def of(cls, given: dict[str, Given | Unchecked], seed: int = 0) -> "Course":
+        """Of checked settings, as a sweep takes them, with one value each.
+
+        Raises:
+            UserError: a setting has several values, or does not fit.
+        """
+        if "algo" not in given and "env" in given:
+            given = given | {"algo": Given((usual_learner(given["env"].value),), "--algo")}
+        for setting in given.values():
+            if isinstance(setting.value, tuple) and len(setting.value) > 1:
+                raise UserError(f"{setting.source}: one person teaches one learner at a time, give one value")
+        spec = make_spec(given | {"teacher": Given("person", "teacher")}, live=True)
+        numbers = ((name, values[0]) for name, values in spec.hyperparameters.items())
+        return cls(spec.env, spec.algo[0], tuple(numbers), seed)
+
+    def spec(self, episodes: int) -> SweepSpec:
+        """The sweep whose rows those of this course are."""
+        settings = {
+            "env": self.env,
+            "algo": (self.algo,),
+            "teacher": "person",
+            "seeds": 1,
+            "episodes": episodes,
+        }
+        numbers = {name: (value,) for name, value in self.settings}
+        given = {name: Given(value, name) for name, value in (settings | numbers).items()}
+        known: dict[str, Given | Unchecked] = {
+            name: each if name in settings or name in OPTIONS else Unchecked(numbers[name][0], name, name)
+            for name, each in given.items()
+        }
+        return make_spec(known, live=True)
+
+    def cell(self, episodes: int) -> Cell:
+        """The one run of that sweep."""
+        (cell,) = plan(self.spec(episodes))
+        return dataclasses.replace(cell, seed=self.seed)
+
+    def write(self, folder: Path) -> None:
+        """Says in the folder what is taught there. Raises OSError."""
+        content = {
+            "format": FORMAT,
+            **dataclasses.asdict(self),
+            "settings": dict(self.settings),
+            "begun": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": versions(),
+        }
+        write_atomic(folder / COURSE, json.dumps(content, indent=2) + "\n")
+
+    @classmethod
+    def read(cls, folder: Path) -> "Course":
+        """What is taught in a folder.
+
+        Raises:
+            UserError: nothing, or what says so is damaged.
+        """
+        path = folder / COURSE
+        try:
+            content = json.loads(path.read_bytes())
+        except OSError as error:
+            raise UserError(
+                f"{path}: cannot be read ({error.strerror}), give a folder that gpcjax teach has made"
+            ) from None
+        except (ValueError, RecursionError):
+            content = None
+        match content:
+            case {
+                "format": 1,
+                "env": str(env),
+                "algo": str(algo),
+                "settings": dict(settings),
+                "seed": int(seed),
+            }:
+                course = cls(env, algo, tuple(settings.items()), seed)
+                course.spec(1)  # refuses what does not fit
+                return course
+        raise UserError(f"{path}: it is damaged, or of another version")
+
+
+def usual_learner(env: str) -> str:
+    """Who learns where nobody says: GPC on a task that it has values for, elsewhere GPC-NS, which needs none."""
+    task = find("task", env)
+    return "gpc" if "gpc" in task.presets or task.obs_scale is not None else "gpc-ns"
+
+
+def new_folder(env: str, beside: Path | None = None) -> Path:
+    """A folder that does not exist yet: runs/taught-ENV-NUMBER, or the next number beside another."""
+    stem = re.sub(r"[^A-Za-z0-9_.-]+", "-", f"taught-{env}")
+    if beside is not None:
+        stem = re.sub(r"-\d+$", "", beside.name)
+    parent = Path("runs") if beside is None else beside.parent
+    return next(path for number in range(1, 1_000_000) if not (path := parent / f"{stem}-{number}").exists())

@@ -1,0 +1,149 @@
+"""What a person's teaching comes to, episode by episode, as the rows of a sweep have it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gpcjax.engine.lanes import LOGGED_CORRECTIONS
+from gpcjax.engine.session import Session
+from gpcjax.learners.base import Info, Status
+
+
+@dataclass
+class Episode:
+    """One episode, under way or over."""
+
+    total: float = 0.0
+    """Sum of its rewards."""
+    length: int = 0
+    corrections: int = 0
+    rate_sum: float = 0.0
+    clipped: int = 0
+    full: int = 0
+    points: tuple[int, int] = (0, 0)
+    own: dict[str, float] = field(default_factory=dict)
+    obs: list[list[float]] = field(default_factory=list)
+    """At each of its steps."""
+    actions: list[list[float]] = field(default_factory=list)
+
+
+@dataclass
+class _Advice:
+    """What one advice counted, so that it can be taken back."""
+
+    episode: int
+    corrections: int
+    rate_sum: float
+    full: int
+    logged: int
+    obs: list[float]
+
+
+class Tally:
+    """Hears every event of a session, live or replayed, and counts."""
+
+    def __init__(self) -> None:
+        self.finished: list[Episode] = []
+        self.present = Episode()
+        self._advice: list[_Advice] = []
+        self._log: list[tuple[tuple[int, int, int], tuple[float, ...], tuple[bool, ...]]] = []
+
+    def hear(self, session: Session, event: Mapping[str, Any], outcome: Any) -> None:
+        """Counts one event of a session, and what its method gave."""
+        match event:
+            case {"event": "propose"}:
+                self.present.obs.append(session.obs.tolist())
+                self.present.actions.append(session.action.tolist())
+                self.present.clipped += bool((np.abs(session.proposed) > 1.0).any())
+            case {"event": "advise", "advice": advice}:
+                self._learned(session, outcome, np.asarray(advice))
+            case {"event": "undo"} if outcome and self._advice:
+                last = self._advice.pop()
+                episode = self._episode(last.episode)
+                episode.corrections -= last.corrections
+                episode.rate_sum -= last.rate_sum
+                episode.full -= last.full
+                del self._log[len(self._log) - last.logged :]
+            case {"event": "note", "values": {"ended": str(), "total": float(total), "length": int(length)}}:
+                self.present.total, self.present.length = total, length
+                self.present.points, self.present.own = session.points, session.measure()
+                # The step that the episode ended before was proposed and never executed.
+                if self.finished:  # of the first alone the steps are shown again
+                    self.present.obs, self.present.actions = [], []
+                self.finished.append(self.present)
+                self.present = Episode()
+
+    @property
+    def corrections(self) -> int:
+        """In all, of each action dimension, without what was taken back."""
+        return sum(episode.corrections for episode in [*self.finished, self.present])
+
+    def places(self) -> list[list[float]]:
+        """The observations at which advice was given that was not taken back."""
+        return [advice.obs for advice in self._advice]
+
+    def measurements(self) -> dict[str, np.ndarray]:
+        """Of the finished episodes, as `gpcjax.engine.lanes.EpisodeRows` has them."""
+        done = self.finished
+        none = np.zeros(len(done), int)
+        return {
+            "returns": np.array([each.total for each in done], float),
+            "length": np.array([each.length for each in done], int),
+            "corrections": np.array([each.corrections for each in done], int),
+            "rate_sum": np.array([each.rate_sum for each in done], float),
+            "policy_points": np.array([each.points[0] for each in done], int),
+            "human_points": np.array([each.points[1] for each in done], int),
+            "clipped": np.array([each.clipped for each in done], int),
+            "full": np.array([each.full for each in done], int),
+            "asked": none,  # nobody knows when a person could have advised
+            "chance_sum": none.astype(float),
+        }
+
+    def own(self) -> dict[str, np.ndarray]:
+        """What the learner measures of itself, likewise."""
+        names = self.finished[0].own if self.finished else ()
+        return {name: np.array([each.own[name] for each in self.finished]) for name in names}
+
+    def log(self) -> dict[str, np.ndarray]:
+        """The first corrections of the finished episodes, as `CorrectionLog` has them."""
+        kept = [entry for entry in self._log if entry[0][0] < len(self.finished)][:LOGGED_CORRECTIONS]
+        where, values, outcome = zip(*kept, strict=True) if kept else ((), (), ())
+        return {
+            "where": np.array(where, int).reshape(-1, 3),
+            "values": np.array(values, float).reshape(-1, 3),
+            "outcome": np.array(outcome, bool).reshape(-1, 3),
+        }
+
+    def _episode(self, index: int) -> Episode:
+        return self.finished[index] if index < len(self.finished) else self.present
+
+    def _learned(self, session: Session, info: Info, advice: np.ndarray) -> None:
+        learned = (advice != 0) & (np.asarray(info.rate) > 0)
+        learned &= np.asarray(info.status) == Status.OK
+        rate = np.asarray(info.rate)
+        full = int(np.asarray(info.full).sum())
+        entries = [
+            (
+                (session.episode, session.step, int(dim)),
+                tuple(
+                    float(np.asarray(part)[dim]) for part in (info.rate, info.sigma_policy, info.sigma_human)
+                ),
+                tuple(bool(np.asarray(part)[dim]) for part in (info.appended, info.replaced, info.full)),
+            )
+            for dim in np.flatnonzero(advice)
+        ]
+        self._log += entries
+        counted = _Advice(
+            len(self.finished),
+            int(learned.sum()),
+            float(rate[learned].sum()),
+            full,
+            len(entries),
+            session.obs.tolist(),
+        )
+        self._advice.append(counted)
+        self.present.corrections += counted.corrections
+        self.present.rate_sum += counted.rate_sum
+        self.present.full += counted.full

@@ -1,0 +1,296 @@
+"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit."""
+
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gpcjax.engine.session import Session
+from gpcjax.envs.registry import make_env
+from gpcjax.errors import UserError
+from gpcjax.learners.base import Info
+from gpcjax.learners.saved import load_learner, save_policy
+from gpcjax.policies.base import Policy
+from gpcjax.recording import Recording
+from gpcjax.registry import find
+from gpcjax.sweep.build import learner_of
+from gpcjax.teach.course import LARGEST_DICTIONARY, POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.protocol import Press
+from gpcjax.teach.rows import write_rows
+from gpcjax.teach.tally import Episode, Tally
+from gpcjax.teach.world import World
+
+UNDOS = 50
+"""How many of the latest corrections can be taken back."""
+
+Say = Callable[[str], None]
+
+
+class Advised(NamedTuple):
+    """What an advice did."""
+
+    info: Info
+    step: int
+    obs: np.ndarray
+    before: float
+    """The policy's action there, of the advised dimension."""
+    after: float
+
+
+class Taught:
+    """What a person teaches in one folder. Its methods belong to one thread."""
+
+    def __init__(self, folder: Path, course: Course, session: Session, world: World, tally: Tally):
+        self.folder, self.course, self.session, self.tally = folder, course, session, tally
+        self._world = world
+
+    @classmethod
+    def begin(cls, folder: Path, course: Course, origin: Path | None = None) -> "Taught":
+        """A new folder, which exists and is empty; `origin` is what was saved elsewhere, to go on from.
+
+        Raises:
+            UserError: it cannot be written, or `origin` is of another task.
+        """
+        start = None
+        if origin is not None:
+            shutil.copytree(origin, folder / START)
+            start = folder / START
+        course.write(folder)
+        learner, state = _beginning(course, start)
+        session = Session(learner, state, **_settings(course), record=folder / RECORD)
+        taught = cls(folder, course, session, _world(course, pictures=True), Tally())
+        taught._propose(taught._world.begin(0))
+        return taught
+
+    @classmethod
+    def resume(cls, folder: Path, say: Say, *, whole: bool = False) -> "Taught":
+        """What was taught in a folder before, made again from its recording.
+
+        Args:
+            folder: made by `begin`.
+            say: takes a line for the person, now and then.
+            whole: check every step of the task, too, and write nothing; otherwise the steps of the last episode are
+                made again, and it goes on from there.
+
+        Raises:
+            UserError: it is damaged, or the same events lead elsewhere here; the message names the step.
+        """
+        course = Course.read(folder)
+        record, world, tally = folder / RECORD, _world(course, pictures=not whole), Tally()
+        _, events = Recording.read(record)
+        last = max((event["episode"] for event in events), default=0)
+        ended = any(event["event"] == "end" for event in events[-1:])
+        progress = _Progress(say, len(events))
+
+        def told(session: Session, event: Mapping[str, Any], outcome: Any) -> None:
+            progress.tell()
+            if event["event"] == "propose" and (whole or event["episode"] == last):
+                taught._follow(session, event["obs"])
+            if whole and event["event"] == "note":
+                taught._compare(event["values"])
+            tally.hear(session, event, outcome)
+
+        learner, state = _beginning(course, folder / START if (folder / START).exists() else None)
+        taught = cls(folder, course, Session(learner, state, **_settings(course)), world, tally)
+        taught.session = Session.replay(record, learner, state, go_on=not whole, told=told)
+        if whole:
+            return taught
+        if not tally.present.obs:
+            if events and not ended:  # it was killed after the episode's last line but one
+                taught.session.end_episode()
+            taught._propose(world.begin(taught.episode))
+        return taught
+
+    @property
+    def episode(self) -> int:
+        """Index of the present episode."""
+        return len(self.tally.finished)
+
+    @property
+    def present(self) -> Episode:
+        """The present episode."""
+        return self.tally.present
+
+    def step(self) -> Episode | None:
+        """Executes what is proposed, and proposes at what comes of it; gives the episode if that has ended.
+
+        Raises:
+            UserError: the task gives something else than it declares, or the recording cannot be written.
+        """
+        moved = self._world.step(self.session.action)
+        self.present.total += moved.reward
+        self.present.length += 1
+        if not moved.over:
+            self._propose(moved.obs)
+            return None
+        return self.end("over")
+
+    def end(self, why: str) -> Episode:
+        """Ends the episode and begins the next one."""
+        present = self.present
+        self._heard("note", None, values=self._note(ended=why, total=present.total, length=present.length))
+        self.session.end_episode()
+        self._propose(self._world.begin(self.episode))
+        return present
+
+    def advise(self, press: Press, credited: int) -> Advised:
+        """Learns from a key; `credited` is how many steps ago what it is about was, as far as one step can be named.
+
+        Raises:
+            UserError: it cannot be written down; nothing was learned then.
+        """
+        size = self.session.learner.action_size
+        advice = np.zeros(size)
+        advice[press.dim] = press.h
+        about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
+        before = self.session.act(about)[press.dim]
+        self._note(press=list(press))
+        info = self.session.advise(advice)
+        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, info)
+        after = self.session.act(about)[press.dim]
+        return Advised(info, self.session.step, np.asarray(about), float(before), float(after))
+
+    def undo(self) -> bool:
+        """Takes the latest advice back; False if there is none."""
+        done = self.session.undo()
+        self.tally.hear(self.session, {"event": "undo"}, done)
+        return done
+
+    def picture(self) -> np.ndarray | None:
+        """What the task looks like now, (height, width, 3) uint8; None if it makes no pictures."""
+        return self._world.picture()
+
+    def save(self, name: str) -> None:
+        """Keeps the session under a name, in place of what was kept there before.
+
+        Raises:
+            UserError: it cannot be written.
+        """
+        session = self.session
+        _replaced(self.folder / SAVES / name, session.save)
+
+    def keep(self) -> Callable[[], None]:
+        """What writes the policy and the rows as they are now, whenever it is called, in whatever thread."""
+        session, learner, state = self.session, self.session.learner, self.session.state
+        tally = self.tally
+        measured = tally.measurements(), tally.own(), tally.log()
+        corrections = session.corrections
+
+        def write() -> None:
+            _replaced(
+                self.folder / POLICY,
+                lambda path: save_policy(path, learner, state, env=self.course.env, corrections=corrections),
+            )
+            write_rows(self.folder, self.course, *measured)
+
+        return write
+
+    def _propose(self, obs: np.ndarray) -> None:
+        self.session.propose(obs)
+        self.tally.hear(self.session, {"event": "propose"}, None)
+
+    def _heard(self, event: str, outcome: Any, **more: Any) -> None:
+        self.tally.hear(self.session, {"event": event, **more}, outcome)
+
+    def _note(self, **values: Any) -> dict[str, Any]:
+        self.session.note(**values)
+        return values
+
+    def _follow(self, session: Session, recorded: list[float]) -> None:
+        """Moves the task to the step that a recording tells of."""
+        if session.step == 0:
+            obs = self._world.begin(session.episode)
+        else:
+            moved = self._world.step(np.asarray(self.present.actions[-1]))
+            obs = moved.obs
+            self.present.total += moved.reward
+            self.present.length += 1
+        if obs.tolist() != recorded:
+            raise UserError(
+                f"episode {session.episode}, step {session.step}: the task was at {recorded}, here it is at {obs.tolist()}"
+            )
+
+    def _compare(self, values: Mapping[str, Any]) -> None:
+        """That an episode came to what was written down of it."""
+        if "ended" not in values or not self.present.obs:
+            return
+        total = self.present.total
+        if values["ended"] == "over":
+            total += self._world.step(np.asarray(self.present.actions[-1])).reward
+        if total != values["total"]:
+            raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
+
+
+class Evaluation:
+    """The policy as it is now, on a simulation of its own: nothing is learned, and nothing recorded."""
+
+    def __init__(self, policy: Policy, course: Course, episode: int):
+        self._policy, self._world = policy, _world(course, pictures=True)
+        self.index, self.total, self.length = episode, 0.0, 0
+        self.obs = self._world.begin(episode)
+        self.action = np.asarray(policy(self.obs))
+
+    def step(self) -> bool:
+        """One step; True if the episode has ended."""
+        moved = self._world.step(self.action)
+        self.obs, self.total, self.length = moved.obs, self.total + moved.reward, self.length + 1
+        self.action = np.asarray(self._policy(moved.obs))
+        return moved.over
+
+    def again(self) -> None:
+        """The next episode."""
+        self.index, self.total, self.length = self.index + 1, 0.0, 0
+        self.obs = self._world.begin(self.index)
+        self.action = np.asarray(self._policy(self.obs))
+
+    def picture(self) -> np.ndarray | None:
+        """As `Taught.picture`."""
+        return self._world.picture()
+
+
+class _Progress:
+    """Says how far a recording is made again, every second."""
+
+    def __init__(self, say: Say, events: int):
+        self._say, self._events, self._done, self._said = say, events, 0, time.monotonic()
+
+    def tell(self) -> None:
+        self._done += 1
+        if time.monotonic() - self._said > 1.0:
+            self._said = time.monotonic()
+            self._say(f"making the recording again: {self._done:,} of {self._events:,} events")
+
+
+def _settings(course: Course) -> dict[str, Any]:
+    given = dict(course.settings)
+    credit = {name: given.get(name) for name in ("credit", "credit_longest", "credit_shape")}
+    most = min(find("task", course.env).max_capacity, LARGEST_DICTIONARY)
+    seconds = find("task", course.env).seconds
+    return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS, "max_capacity": most}
+
+
+def _beginning(course: Course, start: Path | None) -> tuple[Any, Any]:
+    """The learner and the state that it begins with; None for an untaught one."""
+    if start is None:
+        return learner_of(course.cell(1)), None
+    return load_learner(start)
+
+
+def _world(course: Course, pictures: bool) -> World:
+    return World(make_env(course.env), course.seed, pictures)
+
+
+def _replaced(path: Path, write: Callable[[Path], Any]) -> None:
+    """Makes a folder anew by `write`: there is an old one or a new one at any time, but for a moment."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new, old = path.with_name(f".{path.name}.new"), path.with_name(f".{path.name}.old")
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+    write(new)
+    if path.exists():
+        path.rename(old)
+    new.rename(path)
+    shutil.rmtree(old, ignore_errors=True)
