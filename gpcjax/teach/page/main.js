@@ -179,7 +179,8 @@ function message(content) {
       lesson.connected &&= lesson.taken;
       return changed();
     case "task":
-      return begin(content);
+      // What it is about and how it is taught, as one thing.
+      return begin({ ...content, ...content.task });
     case "preparing":
       lesson.preparing = content.what;
       lesson.ready = false;
