@@ -48,17 +48,27 @@ export function drawStraight(context, place, value, advice) {
     straight(context, x + Math.sign(value) * gap, at(value), y, width);
   }
   if (!advice) return;
-  const lane = y + width * 2.2;
+  const lane = y - width * 2.2;
   const way = advice.h;
   context.globalAlpha = advice.strength;
   context.strokeStyle = context.fillStyle = colours.ink;
   if (Math.abs(at(advice.after) - at(advice.before)) > 3) straight(context, at(advice.before), at(advice.after), lane, width * 0.5);
   context.fillRect(at(advice.before) - 1, lane - width * 0.7, 2, width * 1.4);
   font(context, Math.max(12, width * 1.3), "600");
-  context.textBaseline = "top";
+  context.textBaseline = "bottom";
   context.textAlign = way < 0 ? "right" : "left";
-  context.fillText(`${fixed(advice.before, 2)} → ${fixed(advice.after, 2)}`, at(advice.before), lane + width);
+  label(context, advice, at(advice.before), lane - width);
   context.globalAlpha = 1;
+}
+
+/** What the policy did before the advice, and does now; readable on whatever is drawn beneath. */
+function label(context, { before, after }, x, y) {
+  const text = `${fixed(before, 2)} → ${fixed(after, 2)}`;
+  context.lineJoin = "round";
+  context.lineWidth = 4;
+  context.strokeStyle = colours.sky;
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
 }
 
 /** Half of the circle's part that an action of 1 covers. */
@@ -103,15 +113,12 @@ export function drawCurved(context, place, value, advice) {
   context.globalAlpha = advice.strength;
   context.strokeStyle = context.fillStyle = colours.ink;
   if (Math.abs(advice.after - advice.before) > 0.01) curved(context, outer, at(advice.before), at(advice.after), place.width * 0.45);
-  const label = at((advice.before + advice.after) / 2);
+  const middle = at((advice.before + advice.after) / 2);
   const away = outer.radius + 14;
   font(context, Math.max(12, Math.min(16, place.width)), "600");
   context.textBaseline = "middle";
-  const side = Math.cos(label);
+  const side = Math.cos(middle);
   context.textAlign = side < -0.2 ? "right" : side > 0.2 ? "left" : "center";
-  context.fillText(
-    `${fixed(advice.before, 2)} → ${fixed(advice.after, 2)}`,
-    place.x + away * side, place.y + (away + 4) * Math.sin(label),
-  );
+  label(context, advice, place.x + away * side, place.y + (away + 4) * Math.sin(middle));
   context.globalAlpha = 1;
 }

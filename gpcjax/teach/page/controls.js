@@ -36,7 +36,9 @@ export function arrows(task, pair) {
     [task.actions[dim].more.key, { dim, h: 1 }],
   ]);
   const keys = given.map(([key]) => key);
-  if (keys.every((key) => key in GLYPHS) && new Set(keys).size === keys.length) return new Map(given);
+  if (keys.every((key) => key in GLYPHS) && new Set(keys).size === keys.length) {
+    return new Map(given.sort(([a], [b]) => Number(first(b)) - Number(first(a))));
+  }
   const usual = [["left", "right"], ["down", "up"]];
   return new Map(dims.flatMap((dim, k) => [[usual[k][0], { dim, h: -1 }], [usual[k][1], { dim, h: 1 }]]));
 }

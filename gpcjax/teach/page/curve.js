@@ -24,9 +24,9 @@ export class Curve {
     const last = Math.max(10, history.count);
     const x = (episode) => box.left + ((episode - 1) / (last - 1)) * (box.right - box.left);
     const y = (total) => box.bottom - ((total - low) / (high - low)) * (box.bottom - box.top);
-    axes(context, box, { low, high, last, x, y });
-    this.level(context, box, y, lines.idle, "doing nothing", lines.oracle);
-    this.level(context, box, y, lines.oracle, "oracle", lines.idle);
+    if (taught.length || runs.length || known.length) axes(context, box, { low, high, last, x, y });
+    this.level(context, box, y, lines.idle, "doing nothing", "right");
+    this.level(context, box, y, lines.oracle, "oracle", "left");
     drawTaught(context, taught, x, y);
     drawRuns(context, runs, x, y, box);
     if (!taught.length) {
@@ -40,7 +40,7 @@ export class Curve {
   }
 
   /** A line across, with its name on it. @param {CanvasRenderingContext2D} context */
-  level(context, box, y, value, name, other) {
+  level(context, box, y, value, name, side) {
     if (!Number.isFinite(value)) return;
     context.strokeStyle = colours.muted;
     context.lineWidth = 1.2;
@@ -51,17 +51,17 @@ export class Curve {
     context.stroke();
     context.setLineDash([]);
     font(context, 11.5, "500");
-    context.textAlign = "right";
-    // The upper of the two has its name beneath it, the lower one above it: inside, and apart from each other.
-    const beneath = Number.isFinite(other) ? value > other : y(value) < box.top + 18;
+    // A curve that grows leaves room at its upper left and at its lower right.
+    context.textAlign = side;
+    const beneath = y(value) < box.top + 20;
     context.textBaseline = beneath ? "top" : "bottom";
     const at = y(value) + (beneath ? 3 : -3);
     const text = `${name} ${short(value)}`;
     context.lineWidth = 3;
     context.strokeStyle = colours.surface;
-    context.strokeText(text, box.right, at);
+    context.strokeText(text, box[side] + (side === "left" ? 4 : 0), at);
     context.fillStyle = colours.muted;
-    context.fillText(text, box.right, at);
+    context.fillText(text, box[side] + (side === "left" ? 4 : 0), at);
   }
 
   describe(history) {

@@ -59,6 +59,8 @@ export class Lesson {
     this.task = task;
     this.taken = false;
     this.corrections = task.corrections ?? 0;
+    this.points = task.points ?? null;
+    this.rate = task.rate ?? null;
     for (const episode of task.episodes ?? []) this.history.add(episode);
     if (task.lines) this.history.lines = task.lines;
   }

@@ -127,6 +127,7 @@ function begin(task) {
   const same = lesson.task?.name === task.name;
   const axes = same ? { ...map.axes } : null;
   lesson.begin(task);
+  document.body.classList.remove("no-task");
   pair = dialogs.pair = 0;
   presses.repeat = task.repeat || 5;
   say(byId("task-label"), task.label || task.name);

@@ -172,12 +172,12 @@ export class PolicyMap {
     const bottom = box.top + box.high;
     context.textBaseline = "top";
     context.textAlign = "left";
-    context.fillText(short(low[0]), box.left, bottom + 5);
+    context.fillText(end(low[0]), box.left, bottom + 5);
     context.textAlign = "right";
-    context.fillText(short(high[0]), box.left + box.wide, bottom + 5);
+    context.fillText(end(high[0]), box.left + box.wide, bottom + 5);
     context.textBaseline = "middle";
-    context.fillText(short(high[1]), box.left - 5, box.top + 7);
-    context.fillText(short(low[1]), box.left - 5, bottom - 6);
+    context.fillText(end(high[1]), box.left - 5, box.top + 7);
+    context.fillText(end(low[1]), box.left - 5, bottom - 6);
     font(context, 12, "500");
     context.textAlign = "center";
     context.textBaseline = "top";
@@ -211,6 +211,9 @@ export class PolicyMap {
     context.stroke();
   }
 }
+
+/** An end of an axis, without zeros that say nothing. @param {number} value */
+const end = (value) => short(value).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
 
 /** @param {string[]} names */
 const options = (names) => names.map((name, k) => element("option", { value: String(k) }, name));

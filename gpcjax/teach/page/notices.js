@@ -50,7 +50,7 @@ export class Notices {
     const ribbon = this.ribbon(phase);
     this.nodes.ribbon.hidden = ribbon === "";
     say(this.nodes.ribbon, ribbon);
-    const told = card ? `${card.title}. ${card.text}` : ribbon || PHASES[phase];
+    const told = card ? `${card.title.replace(/[.]$/, "")}. ${card.text}` : ribbon || PHASES[phase];
     if (told !== this.shown) this.voice(told);
     this.shown = told;
     document.title = `${PHASES[phase]} · ${lesson.task?.label ?? "gpcjax"}`;
@@ -91,8 +91,7 @@ export class Notices {
   ribbon(phase) {
     if (phase === "run") return "Evaluation: nothing is learned. L to teach again.";
     if (phase !== "paused" || this.lesson.state.why === "connection") return "";
-    const running = this.lesson.state.mode === "run" ? "Evaluation paused" : "Paused";
-    return `${running}. Space goes on, . is one step.`;
+    return `${this.lesson.state.mode === "run" ? "Evaluation paused" : "Paused"}: Space goes on, “.” is one step`;
   }
 
   /** Confirms an advice by what it changed. @param {any} advised @param {any} task */

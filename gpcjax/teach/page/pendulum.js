@@ -7,9 +7,9 @@ import { colours, font } from "./canvas.js";
 export function pendulum() {
   return (context, width, height, { obs, action, advice, small }) => {
     const [cos, sin] = obs;
-    const rod = Math.min(width * 0.42, height * 0.4);
+    const rod = Math.min(width * 0.42, height * 0.37);
     const x = width / 2;
-    const y = height * 0.5;
+    const y = height * (small ? 0.5 : 0.55);
     const thick = Math.max(6, rod * 0.1);
 
     // Where it shall be held.

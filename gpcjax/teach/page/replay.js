@@ -33,7 +33,8 @@ export class Replay {
   build(task) {
     this.task = task;
     this.steps = (task.first ?? []).slice(0, MOST);
-    this.whole = this.steps.length > 0;
+    // An episode that is not the first one is not kept in its place.
+    this.whole = this.steps.length > 0 || (task.episodes ?? []).length > 0;
     this.scene = task.scene === "pictures" ? null : makeScene(task, () => {});
     this.button.hidden = !this.scene;
     this.toggle(false);
@@ -46,9 +47,10 @@ export class Replay {
     else if (this.steps.length < MOST) this.steps.push(frame.obs);
   }
 
+  /** @param {boolean} [on] */
   toggle(on = !this.on) {
-    if (on && !this.whole) {
-      this.tell("The first episode can be replayed once it has ended.");
+    if (on && (!this.whole || !this.steps.length)) {
+      this.tell(this.whole ? "The first episode was not kept." : "The first episode can be replayed once it has ended.");
       return;
     }
     this.on = on;

@@ -1,6 +1,5 @@
 // A task without a scene: each number of the observation as a line of the last seconds, with a bar of its value.
 
-import { drawCompass } from "./compass.js";
 import { colours, font } from "./canvas.js";
 import { decimals, fixed, rangeOf } from "./format.js";
 
@@ -44,7 +43,8 @@ export class Signals {
   /** @type {import("./scenes.js").Scene["draw"]} */
   draw(context, width, height, view) {
     const edge = view.small ? 6 : 16;
-    const row = (height - 2 * edge) / this.size;
+    // Beneath them, room for the word of how sure the policy is.
+    const row = (height - edge - (view.small ? edge : 44)) / this.size;
     const text = Math.max(9, Math.min(13, row * 0.4));
     const names = view.small ? 0 : Math.min(150, width * 0.3);
     const values = view.small ? 0 : Math.min(90, width * 0.2);
@@ -64,7 +64,6 @@ export class Signals {
       const [from, to] = this.rangeOf(k);
       context.fillText(fixed(view.obs[k], decimals(to - from) - 1), left + long + 14, top + high / 2, values - 14);
     }
-    if (!view.small) drawCompass(context, width, height, this.task, view);
   }
 
   /** @param {CanvasRenderingContext2D} context */
