@@ -48,7 +48,8 @@ export class Lesson {
 
   /** Advice would reach a policy that learns from it. */
   get teachable() {
-    return this.connected && !this.taken && this.ready && this.state.mode === "teach";
+    const { mode, paused, why } = this.state;
+    return this.connected && !this.taken && this.ready && mode === "teach" && !(paused && why === "problem");
   }
 
   /** @param {any} task */

@@ -36,7 +36,7 @@ export class Panels {
       const node = document.createTextNode("–");
       this.seen[k] = { node, digits: range ? decimals(range[1] - range[0]) : 4 };
       const cell = element("td", { "data-obs": String(k) });
-      cell.append(node);
+      cell.append(element("span", {}, node));
       return element("tr", {}, element("th", { scope: "row" }, observation.name), cell);
     });
     this.seen.length = rows.length;
