@@ -6,10 +6,10 @@ begins with a dash for a flag, and fails on `--error=--`.
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from gpcjax.allowed import Anything, shown, suggestion
+from gpcjax.allowed import Anything, Numbers, shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import PARTS, folder
 from gpcjax.sweep.options import (
@@ -24,6 +24,8 @@ from gpcjax.sweep.options import (
     parse,
 )
 from gpcjax.sweep.spec import Given, Unchecked
+
+_ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 
 _GROUPS = (
     ("experiment", EXPERIMENT),
@@ -131,15 +133,80 @@ def _sweep(name: str) -> Command:
     return Command(_TEXTS[name], (*groups, ("", (own, *switches))), word="TOML", word_text=text)
 
 
+def _teach() -> Command:
+    """What a person teaches has one learner, with one value of each setting."""
+
+    def alone(option: Option) -> Flag:
+        return replace(_flag(option, "teach"), metavar=option.name.upper())
+
+    names = {
+        "env": OPTIONS["env"],
+        "algo": OPTIONS["algo"],
+        "oracle": OPTIONS["oracle"],
+        "out": OPTIONS["out"],
+    }
+    flags = {name: alone(option) for name, option in names.items()}
+    algo = f"{names['algo'].text} ({names['algo'].allowed}; default gpc, or gpc-ns on a task without values for it)"
+    whose = f"whose mean return is drawn as a line ({names['oracle'].allowed})"
+    lesson = (
+        flags["env"],
+        replace(flags["algo"], text=algo),
+        Flag("--seed", "of the starts, as in a sweep (default 0)", "SEED", str(SEED)),
+        Flag("--repeat", "advices a second while a key is held (default 8)", "REPEAT", str(REPEAT)),
+        Flag("--speed", "times real time (default 1)", "SPEED", str(SPEED)),
+        replace(flags["oracle"], text=whose),
+        Flag("--from", "a saved state to begin with, OUT/saves/NAME of another folder", "FOLDER", _FOLDER),
+        replace(
+            flags["out"],
+            text="folder that keeps it, or has kept it and goes on (default runs/taught-ENV-NUMBER)",
+        ),
+        Flag(
+            "--host",
+            "listens on this address; beyond 127.0.0.1 with a token (default 127.0.0.1)",
+            "HOST",
+            "an address",
+        ),
+        Flag("--port", "on this port (default the first from 8765 on that is free)", "PORT", str(PORT)),
+    )
+    settings = tuple(map(alone, OF_LEARNERS))
+    return Command(
+        _TEXTS["teach"],
+        (
+            ("lesson", lesson),
+            ("hyperparameters of the learners", settings),
+            ("how a learner reckons with late advice", tuple(map(alone, OF_CREDIT))),
+            (
+                "",
+                (
+                    Flag(
+                        "--set",
+                        "a setting of a learner of one's own",
+                        "NAME=VALUE",
+                        "NAME=VALUE",
+                        repeated=True,
+                    ),
+                ),
+            ),
+        ),
+    )
+
+
+SEED = Numbers(0, 2**31 - 1, whole=True)
+REPEAT = Numbers(1, 50)
+SPEED = Numbers(0.1, 2.0)
+PORT = Numbers(0, 65535, whole=True)
+"""Values of the flags of `teach` that are no settings of a sweep."""
+
 _TEXTS = {
     "sweep": "teach every combination of learner, error rate and seed, then report",
     "grid": "the same over lists of hyperparameters, with a heatmap",
     "report": "draw a run folder's table and figures again",
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
+    "teach": "teach a policy by hand, in the browser",
+    "replay": "make what was taught by hand again, and see whether it comes to the same",
     "version": "print the version",
 }
-_ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
@@ -174,6 +241,8 @@ COMMANDS = {
             ),
         ),
     ),
+    "teach": _teach(),
+    "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
     "version": Command(_TEXTS["version"]),
 }
 
@@ -321,7 +390,7 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given | Unchecked]:
     """The options given as flags, each checked alone; those of --set that nobody here knows are left to `make_spec`."""
     given: dict[str, Given | Unchecked] = {}
     for option in OPTIONS.values():
-        value = getattr(arguments, option.name)
+        value = getattr(arguments, option.name, None)
         if value is not None:
             checked = value if option.kind is bool else parse(option, value, option.flag)
             given[option.name] = Given(checked, option.flag)

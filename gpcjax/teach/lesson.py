@@ -540,7 +540,7 @@ class Lesson:
             self._paint()
 
     def _paint(self) -> None:
-        """A picture of the task as it is now; it is made here, as its libraries want one thread, and packed elsewhere."""
+        """A picture of the task as it is now: made here, as its libraries want one thread, and packed elsewhere."""
         from gpcjax.teach.telling import packed
 
         image = (self._evaluation or self._taught).picture()

@@ -210,7 +210,8 @@ class Taught:
             self.present.length += 1
         if obs.tolist() != recorded:
             raise UserError(
-                f"episode {session.episode}, step {session.step}: the task was at {recorded}, here it is at {obs.tolist()}"
+                f"episode {session.episode}, step {session.step}: the task was at {recorded}, "
+                f"here it is at {obs.tolist()}"
             )
 
     def _compare(self, values: Mapping[str, Any]) -> None:
