@@ -24,6 +24,7 @@ from gpcjax.engine.history import Credit
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.single import (
     acts,
+    acts_at,
     advised,
     cleared,
     has_room,
@@ -125,22 +126,22 @@ class Session:
     @property
     def episode(self) -> int:
         """Of the latest step, from 0."""
-        return int(self._block.episode[0])
+        return int(np.asarray(self._block.episode)[0])
 
     @property
     def step(self) -> int:
         """The latest step of the episode, from 0; -1 before the first."""
-        return int(self._block.env.time[0]) if self._begun else -1
+        return int(np.asarray(self._block.env.time)[0]) if self._begun else -1
 
     @property
     def obs(self) -> Float[np.ndarray, " obs"]:
         """Of the latest step."""
-        return np.array(self._block.env.obs[:, 0])
+        return np.array(np.asarray(self._block.env.obs)[:, 0])
 
     @property
     def action(self) -> Float[np.ndarray, " action"]:
         """What was executed at the latest step."""
-        return np.array(self._block.action[:, 0])
+        return np.array(np.asarray(self._block.action)[:, 0])
 
     @property
     def proposed(self) -> Float[np.ndarray, " action"]:
@@ -186,6 +187,10 @@ class Session:
         """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
         obs = self._numbers("obs", obs, self.learner.obs_size)
         return np.array(acts(self._block.controller, obs))
+
+    def act_at(self, obs: Float[np.ndarray, "obs points"]) -> Float[np.ndarray, "action points"]:
+        """The same at many observations."""
+        return np.array(acts_at(self._block.controller, np.asarray(obs, float)))
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.
@@ -264,9 +269,8 @@ class Session:
         Raises:
             ValueError: no step has begun.
         """
-        with self._lock:
-            self._check_begun()
-            return np.asarray(uncertain(self._block))
+        self._check_begun()
+        return np.asarray(uncertain(self._block))  # nobody waits for it: a block is never changed
 
     def warm_up(self, *, ahead: bool = False) -> None:
         """Compiles all that steps and advice need, which otherwise happens when they come first; nothing is learned.

@@ -138,6 +138,12 @@ def acts(controller: Controller, obs: Float[Array, " obs"]) -> Float[Array, " ac
 
 
 @eqx.filter_jit
+def acts_at(controller: Controller, obs: Float[Array, "obs points"]) -> Float[Array, "action points"]:
+    """The same at many observations."""
+    return jax.vmap(acts, in_axes=(None, -1), out_axes=-1)(controller, obs)
+
+
+@eqx.filter_jit
 def has_room(block: Lane, corrections: int) -> Bool[Array, ""]:
     """Whether so many more corrections of each action dimension surely fit."""
     learner, state = _alone(block)

@@ -64,15 +64,33 @@ def worker_environment() -> dict[str, str]:
         for name, value in os.environ.items()
         if name in LET_THROUGH or name.startswith(LET_THROUGH_PREFIXES)
     }
-    folder = _cache_folder()
-    if not _reason_against(folder):
-        environment |= {
-            CACHE: str(folder),
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-        }
+    environment |= _kept_programs("0.2")
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     return {**environment, **computing_environment(), "PYTHONPATH": path}
+
+
+def compute_here() -> None:
+    """Makes this process, which has not loaded jax, compute as workers do: with their options and their programs.
+
+    Small programs are kept, too: somebody waits for each of them.
+    """
+    for name in [name for name in os.environ if name.startswith(_NOTEWORTHY)]:
+        del os.environ[name]
+    os.environ.update(
+        {**_kept_programs("0"), **computing_environment(), "JAX_CPU_ENABLE_ASYNC_DISPATCH": "0"}
+    )
+
+
+def _kept_programs(seconds: str) -> dict[str, str]:
+    """Variables by which programs that took so long to compile are kept, where something can be."""
+    folder = _cache_folder()
+    if _reason_against(folder):
+        return {}
+    return {
+        CACHE: str(folder),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": seconds,
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
 
 
 def refuse_another_environment() -> None:

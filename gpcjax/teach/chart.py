@@ -1,13 +1,11 @@
 """The policy over two numbers of an observation, as the page draws it (Fig. 5.3 of the thesis)."""
 
 import base64
+from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
-
-from gpcjax.policies.base import Controller
+from jaxtyping import Float
 
 SIDE = 41
 """Points of the grid in each direction."""
@@ -16,7 +14,7 @@ MOST_PLACES = 1000
 
 
 def chart(
-    controller: Controller,
+    act_at: Callable[[Float[np.ndarray, "obs points"]], Float[np.ndarray, "action points"]],
     axes: tuple[int, int],
     dim: int,
     bounds: Float[np.ndarray, "obs 2"],
@@ -25,7 +23,7 @@ def chart(
     """The message `map`.
 
     Args:
-        controller: of the policy.
+        act_at: the policy at many observations.
         axes: which two numbers of an observation.
         dim: which dimension of the action.
         bounds: lowest and highest value of each number.
@@ -38,7 +36,7 @@ def chart(
     grid = np.repeat(np.asarray(middle, float)[:, None], SIDE * SIDE, axis=1)
     across, along = np.meshgrid(*lines)
     grid[x], grid[y] = across.ravel(), along.ravel()
-    actions = np.asarray(_actions(controller, grid))[dim].clip(-1.0, 1.0)
+    actions = act_at(grid)[dim]
     values = np.nan_to_num(actions * 127).round().astype(np.int8)
     kept = np.asarray(places[-MOST_PLACES:], float).reshape(-1, len(bounds))[:, [x, y]]
     return {
@@ -52,8 +50,3 @@ def chart(
         "values": base64.b64encode(values.tobytes()).decode(),
         "points": kept.round(5).tolist(),
     }
-
-
-@eqx.filter_jit
-def _actions(controller: Controller, obs: Float[Array, "obs points"]) -> Float[Array, "action points"]:
-    return controller(obs)

@@ -70,6 +70,8 @@ class Lesson:
         self._queue: queue.Queue[Command] = queue.Queue()
         self._closing = contextlib.ExitStack()
         self._errands: Errands | None = None
+        self._slow: Errands | None = None
+        """What takes seconds: compiling, and whole episodes."""
         self._painter: Errands | None = None
         self._mode, self._paused, self._why, self._speed = "teach", True, "start", options.speed
         self._number, self._first_of_episode, self._painted = 0, 0, 0.0
@@ -134,13 +136,13 @@ class Lesson:
         self._size = session.learner.action_size
         self._axes()
         self._mode, self._paused, self._why = "teach", True, "start"
-        self._errands, self._painter = Errands(self._failed), Errands(self._failed)
+        self._errands, self._slow, self._painter = (Errands(self._failed) for _ in range(3))
         self._room = session.room
         self.ready.set()
         self._joined()
-        self._errands.ask("ahead", lambda: session.warm_up(ahead=True))
-        self._errands.ask("lines", self._measure_lines)
         self._ask_chart()
+        self._slow.ask("lines", self._measure_lines)
+        self._slow.ask("ahead", lambda: session.warm_up(ahead=True))
 
     def _opened(self) -> "Taught":
         from gpcjax.teach.taught import Taught
@@ -257,8 +259,8 @@ class Lesson:
         session = self._taught.session
         if session.room != self._room:
             self._room = session.room
-            assert self._errands is not None
-            self._errands.ask("ahead", lambda: session.warm_up(ahead=True))
+            assert self._slow is not None
+            self._slow.ask("ahead", lambda: session.warm_up(ahead=True))
         self._ask_chart()
         self._ask_sigma()
 
@@ -399,12 +401,11 @@ class Lesson:
 
         assert self._errands is not None
         taught, (x, y, dim) = self._taught, self._chart
-        controller = taught.session.policy().controller
-        places = taught.tally.places()
-        bounds = self._bounds()
-        self._errands.ask(
-            "map", lambda: self._say_raw(chart(controller, (x, y), dim, bounds, places)), MAP_APART
-        )
+
+        def draw() -> None:
+            self._say_raw(chart(taught.session.act_at, (x, y), dim, self._bounds(), taught.tally.places()))
+
+        self._errands.ask("map", draw, MAP_APART)
 
     def _measure_lines(self) -> None:
         from gpcjax.engine.evaluate import evaluate, idle
@@ -430,10 +431,10 @@ class Lesson:
         if self._errands is not None:
             with contextlib.suppress(UserError, OSError):
                 self._ask_keep(0.0)
-            for errands in (self._errands, self._painter):
+            for errands in (self._slow, self._painter, self._errands):
                 if errands is not None:
                     errands.close()
-        self._errands = self._painter = None
+        self._errands = self._slow = self._painter = None
         self._closing.close()
 
     # --- what the page is told
@@ -475,6 +476,8 @@ class Lesson:
             "episodes": [episode_of(index, each) for index, each in enumerate(tally.finished)],
             "first": tally.finished[0].obs if tally.finished else [],
             "corrections": tally.corrections,
+            "points": list(taught.session.points),
+            "rate": tally.latest_rate,
             "lines": self._lines,
         }
 

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from gpcjax.errors import UserError
+from gpcjax.sweep.environment import compute_here
 from gpcjax.teach.course import COURSE, Course, new_folder
 from gpcjax.teach.lesson import Lesson, Options, Say
 
@@ -57,6 +58,7 @@ def teach(
         raise UserError(
             f"{made}: nothing can be written there ({error.strerror}), give a new folder"
         ) from None
+    compute_here()
     sys.setswitchinterval(SWITCH_SECONDS)
 
     def lesson(say: Say) -> Lesson:
@@ -76,6 +78,7 @@ def replay(folder: Path) -> int:
         UserError: it is damaged, or comes to something else; the message names the step.
     """
     Course.read(folder)
+    compute_here()
     from gpcjax.teach.taught import Taught
 
     taught = Taught.resume(folder, lambda line: print(line, file=sys.stderr, flush=True), whole=True)

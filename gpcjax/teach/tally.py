@@ -80,6 +80,11 @@ class Tally:
         """In all, of each action dimension, without what was taken back."""
         return sum(episode.corrections for episode in [*self.finished, self.present])
 
+    @property
+    def latest_rate(self) -> float | None:
+        """The learning rate of the latest advice that was not taken back; None without one."""
+        return self._log[-1][1][0] if self._log else None
+
     def places(self) -> list[list[float]]:
         """The observations at which advice was given that was not taken back."""
         return [advice.obs for advice in self._advice]
@@ -120,28 +125,25 @@ class Tally:
         return self.finished[index] if index < len(self.finished) else self.present
 
     def _learned(self, session: Session, info: Info, advice: np.ndarray) -> None:
-        learned = (advice != 0) & (np.asarray(info.rate) > 0)
-        learned &= np.asarray(info.status) == Status.OK
-        rate = np.asarray(info.rate)
-        full = int(np.asarray(info.full).sum())
+        rate, sigma_policy, sigma_human, appended, replaced, full = (
+            np.asarray(getattr(info, name))
+            for name in ("rate", "sigma_policy", "sigma_human", "appended", "replaced", "full")
+        )
+        learned = (advice != 0) & (rate > 0) & (int(np.asarray(info.status)) == Status.OK)
+        values = np.stack([rate, sigma_policy, sigma_human], axis=-1)
+        outcome = np.stack([appended, replaced, full], axis=-1)
         entries = [
-            (
-                (session.episode, session.step, int(dim)),
-                tuple(
-                    float(np.asarray(part)[dim]) for part in (info.rate, info.sigma_policy, info.sigma_human)
-                ),
-                tuple(bool(np.asarray(part)[dim]) for part in (info.appended, info.replaced, info.full)),
-            )
-            for dim in np.flatnonzero(advice)
+            ((session.episode, session.step, dim), tuple(values[dim].tolist()), tuple(outcome[dim].tolist()))
+            for dim in np.flatnonzero(advice).tolist()
         ]
         self._log += entries
         counted = _Advice(
-            len(self.finished),
-            int(learned.sum()),
-            float(rate[learned].sum()),
-            full,
-            len(entries),
-            session.obs.tolist(),
+            episode=len(self.finished),
+            corrections=int(learned.sum()),
+            rate_sum=float(rate[learned].sum()),
+            full=int(full.sum()),
+            logged=len(entries),
+            obs=session.obs.tolist(),
         )
         self._advice.append(counted)
         self.present.corrections += counted.corrections
