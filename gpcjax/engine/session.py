@@ -269,7 +269,8 @@ class Session:
         Raises:
             ValueError: no step has begun.
         """
-        self._check_begun()
+        if not self._begun:
+            raise UserError("no step has begun: call propose first")
         return np.asarray(uncertain(self._block))  # nobody waits for it: a block is never changed
 
     def warm_up(self, *, ahead: bool = False) -> None:

@@ -27,10 +27,12 @@ class Errands:
             self._waiting[name] = (do, apart)
             self._changed.notify()
 
-    def close(self) -> None:
-        """Does what is waiting, without any pause, and ends."""
+    def close(self, drop: bool = False) -> None:
+        """Does what is waiting, without any pause, and ends; with `drop`, ends after what is being done now."""
         with self._changed:
             self._over = True
+            if drop:
+                self._waiting.clear()
             self._changed.notify()
         self._thread.join()
 

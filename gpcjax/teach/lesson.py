@@ -433,7 +433,7 @@ class Lesson:
                 self._ask_keep(0.0)
             for errands in (self._slow, self._painter, self._errands):
                 if errands is not None:
-                    errands.close()
+                    errands.close(drop=errands is not self._errands)
         self._errands = self._slow = self._painter = None
         self._closing.close()
 
