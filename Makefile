@@ -15,6 +15,7 @@
 #:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
+#:   CREDIT    seconds between a step and the advice about it, as the learner reckons (none)
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
 #:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
@@ -34,7 +35,7 @@ GPCJAX := .venv/bin/python -m gpcjax
 
 # Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
 FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teacher ORACLE:oracle DELTA:delta \
-	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale OUT:out JOBS:jobs
+	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit OUT:out JOBS:jobs
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
@@ -42,7 +43,9 @@ TAKES_report := OUT
 TAKES_oracles := ENV
 TAKES_reproduce := QUICK ONLY OUT JOBS
 TAKES_publish := OUT JOBS
+TAKES_teach := ENV ALGO ORACLE LP LH CREDIT OUT ARGS
 TAKES_bench := ARGS
+TAKES_bench-teach := ARGS
 TAKES_test := ARGS
 TAKES_torture := ARGS
 TAKES_lock := ARGS
@@ -54,7 +57,7 @@ $(if $(REFUSED),$(error '$(REFUSED)' is no variable of make $(GOALS): give $(str
 
 # A value is a value: make expands those of the command line when it hands them to a program's environment, and runs what
 # $(shell) in them says. So each is set to its own text, once and for all, and handed to nobody.
-OURS := $(sort $(GIVEN) $(foreach target,sweep reproduce test,$(TAKES_$(target))) PYTHON)
+OURS := $(sort $(GIVEN) $(foreach target,sweep reproduce teach test,$(TAKES_$(target))) PYTHON)
 $(foreach variable,$(OURS),$(if $(filter command environment%,$(origin $(variable))),$(eval override $(variable) := $$(value $(variable)))))
 unexport $(OURS)
 MAKEOVERRIDES :=
@@ -76,9 +79,9 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid report reproduce publish oracles bench test torture lint format lock clean
+.PHONY: help sweep grid report reproduce publish oracles teach bench bench-teach test torture lint format lock clean
 help: ## this list (default)
-	@sed -n -e 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
+	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
 
 sweep: $(READY) ## teach every combination, print a table, draw the curves
@@ -100,10 +103,23 @@ publish: $(READY) ## reproduce, then make all numbers and pictures of README and
 	$(GPCJAX) reproduce $(REPRODUCTION)
 	.venv/bin/python -m docs.publish $(if $(OUT),$(call quoted,OUT))
 
+teach: $(READY) ## teach a policy by hand, in the browser (ENV=, ALGO=; OUT= goes on)
+	$(call with_args,$(GPCJAX) teach $(foreach pair,$(FLAGS),$(if $(filter $(call name,$(pair)),$(TAKES_teach)),$(call flag,$(pair)))))
+
 bench: $(READY) ## measure the throughput
 	$(call with_args,.venv/bin/python -m benchmarks.throughput)
 
-test: $(READY) ## run every test
+bench-teach: $(READY) chromium ## measure teaching in a real browser
+	$(call with_args,.venv/bin/python -m benchmarks.teaching)
+
+# What the tests in a browser drive. Where it cannot be had they do not run, and that is said.
+.PHONY: chromium
+chromium:
+	@command -v chromium >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
+		{ echo 'installing Chromium for the tests in a browser'; apt-get -qq update && apt-get -qq install -y chromium; } >&2 2>/dev/null >/dev/null; } || \
+		echo 'no Chromium here (Debian: apt install chromium): the tests in a browser do not run' >&2
+
+test: $(READY) chromium ## run every test
 	$(call with_args,.venv/bin/python -m pytest -n 2)
 
 torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found

@@ -21,6 +21,8 @@ _PUBLIC = {
     "TaskSpec": "gpcjax.describe:TaskSpec",
     "Teacher": "gpcjax.teachers.base:Teacher",
     "TeacherSpec": "gpcjax.describe:TeacherSpec",
+    "Control": "gpcjax.describe:Control",
+    "View": "gpcjax.describe:View",
     "brax_env": "gpcjax.envs.brax_adapter:brax_env",
     "draw_report": "gpcjax.report.run:draw",
     "env_names": "gpcjax.envs.registry:env_names",
@@ -79,11 +81,13 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "LearnerSpec",
     "TeacherSpec",
     "Setting",
+    "View",
+    "Control",
 ]
 
 TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
-    from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
+    from gpcjax.describe import Control, LearnerSpec, Setting, TaskSpec, TeacherSpec, View
     from gpcjax.engine.evaluate import evaluate
     from gpcjax.engine.session import Session
     from gpcjax.envs.base import Env, State, parameter

@@ -1,0 +1,161 @@
+"""A real browser: the page teaches, looked at and pressed as a person would, and no more than a person could see."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gpcjax.sweep.store import read_episodes
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
+
+TEACHER = (Path(__file__).parent / "teacher.js").read_text()
+GPCJAX = Path(__file__).parents[2]
+PHASE = "document.documentElement.dataset.phase"
+
+
+class Server:
+    """`gpcjax teach` in a process of its own."""
+
+    def __init__(self, folder, env):
+        words = [sys.executable, "-m", "gpcjax", "teach", "--env", env, "--out", str(folder), "--port", "0"]
+        self.folder = folder
+        self._process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=GPCJAX, env=os.environ
+        )
+        self.address = self._process.stdout.readline().split()[1]
+
+    def end(self):
+        self._process.send_signal(signal.SIGINT)
+        said, _ = self._process.communicate(timeout=120)
+        assert self._process.returncode == 0, said
+        return said
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Opens the page of a task, ready to begin; what a page complains of fails the test."""
+    servers, complaints = [], []
+
+    def open_(env, **options):
+        server = Server(tmp_path / env, env)
+        servers.append(server)
+        page = browser.new_page(**options)
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(server.address)
+        _until(lambda: page.evaluate(PHASE) == "waiting", 240)
+        return page, server
+
+    yield open_
+    for context in browser.contexts:
+        context.close()
+    for server in servers:
+        if server._process.poll() is None:
+            server.end()
+    assert complaints == []
+
+
+def _until(true, seconds):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.1)
+
+
+def _shown(page, name):
+    return float(page.evaluate(f"document.documentElement.dataset.{name} || 0"))
+
+
+def _taught(server):
+    """The returns of its rows, once it has ended."""
+    server.end()
+    replayed = subprocess.run(
+        [sys.executable, "-m", "gpcjax", "replay", str(server.folder)],
+        capture_output=True,
+        text=True,
+        cwd=GPCJAX,
+        check=False,
+    )
+    assert replayed.returncode == 0 and "the same to the bit" in replayed.stdout, replayed.stderr
+    return read_episodes(server.folder)["return"].to_numpy()
+
+
+def test_a_cart_pole_is_taught_to_stand(opened):
+    """By who looks at the page alone, to the full 2,500 steps."""
+    page, server = opened("cartpole")
+    page.keyboard.press("Space")
+    page.evaluate(TEACHER, "cartpole")
+    _until(lambda: _shown(page, "step") > 500, 60)
+    for _ in range(10):  # it stands: as fast as the page goes
+        page.keyboard.press("+")
+    _until(lambda: _shown(page, "episode") >= 1 and _shown(page, "step") < 500, 120)
+    page.close()
+    assert 2500.0 in _taught(server)
+
+
+def test_a_pendulum_is_taught_to_swing_up(opened):
+    page, server = opened("pendulum")
+    page.keyboard.press("Space")
+    page.evaluate(TEACHER, "pendulum")
+    _until(lambda: _shown(page, "episode") >= 5, 100)
+    page.close()
+    assert (_taught(server) >= -200.0).any()
+
+
+def test_keys_alone(opened):
+    """What a press does is seen at once; every control has its key; a reload goes on where it was."""
+    page, server = opened("cartpole", viewport={"width": 375, "height": 812})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 375
+    page.keyboard.press("ArrowRight")
+    _until(lambda: _shown(page, "corrections") == 1, 20)
+    assert re.search(r"Push right here: .* → ", page.inner_text("body"))
+    page.keyboard.press("Space")
+    _until(lambda: page.evaluate(PHASE) == "paused", 10)
+    before = _shown(page, "step")
+    page.keyboard.press(".")
+    _until(lambda: _shown(page, "step") == before + 1, 10)
+    page.keyboard.press("u")
+    _until(lambda: _shown(page, "corrections") == 0, 10)
+    page.keyboard.press("a")
+    _until(lambda: _shown(page, "corrections") == 1, 10)
+    page.keyboard.press("l")
+    _until(lambda: page.evaluate(PHASE) == "run", 20)
+    page.keyboard.press("l")
+    _until(lambda: page.evaluate(PHASE) == "paused", 10)
+    step = _shown(page, "step")
+    page.reload()
+    _until(lambda: page.evaluate(PHASE) in ("waiting", "paused"), 20)
+    assert (_shown(page, "step"), _shown(page, "corrections")) == (step, 1)
+    page.close()
+    assert "goes on with it" in server.end()
+
+
+def test_two_tabs(opened, browser):
+    """The second is told, and may take over; the first is told then."""
+    page, server = opened("cartpole")
+    page.keyboard.press("Space")
+    second = browser.new_page()
+    second.goto(server.address)
+    _until(lambda: second.evaluate(PHASE) == "taken", 10)
+    second.click("#card-button")
+    _until(lambda: second.evaluate(PHASE) in ("waiting", "paused"), 10)
+    _until(lambda: page.evaluate(PHASE) == "taken", 10)
+    second.close()
