@@ -31,7 +31,7 @@ HELD_SECONDS = 1.5
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--env", default="cartpole")
     parser.add_argument("--algo", default="gpc")
     parser.add_argument("--points", type=int, default=1000, help="advices until the end")
@@ -41,25 +41,23 @@ def main() -> None:
         folder = Path(scratch) / "taught"
         words = ["--env", arguments.env, "--algo", arguments.algo, "--out", str(folder), "--repeat", "10"]
         environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(scratch) / "cold")}
-        began = time.monotonic()
-        server = subprocess.Popen(
-            [sys.executable, "-m", "gpcjax", "teach", *words],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
-        try:
-            assert server.stdout is not None
-            address = server.stdout.readline().split()[1]
-            with sync_playwright() as playwright:
-                browser = playwright.chromium.launch(
-                    executable_path=arguments.chromium, args=["--no-sandbox"]
-                )
-                figures = measure(browser.new_page(), address, began, arguments.points)
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=arguments.chromium, args=["--no-sandbox"])
+            page, began = browser.new_page(), time.monotonic()
+            server = subprocess.Popen(
+                [sys.executable, "-m", "gpcjax", "teach", *words],
+                stdout=subprocess.PIPE,
+                text=True,
+                env=environment,
+            )
+            try:
+                assert server.stdout is not None
+                address = server.stdout.readline().split()[1]
+                figures = measure(page, address, began, arguments.points)
+            finally:
+                server.send_signal(signal.SIGINT)
+                server.wait()
                 browser.close()
-        finally:
-            server.send_signal(signal.SIGINT)
-            server.wait()
         print(json.dumps({**vars(arguments), **figures, **pace(folder)}))
 
 

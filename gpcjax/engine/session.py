@@ -27,6 +27,7 @@ from gpcjax.engine.single import (
     acts_at,
     advised,
     cleared,
+    grown,
     has_room,
     idled,
     measured,
@@ -38,7 +39,6 @@ from gpcjax.engine.single import (
     stepped,
     told,
     uncertain,
-    with_state,
 )
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Info, Learner, State
@@ -285,7 +285,7 @@ class Session:
         with self._lock:
             block = self._block
         if ahead:
-            larger = self._grown(block) if self._may_grow(block) else None
+            larger = grown(block) if self._may_grow(block) else None
             if larger is None:
                 return
             block = larger
@@ -441,7 +441,7 @@ class Session:
 
     def _make_room(self) -> None:
         while self._may_grow(self._block) and not has_room(self._block, self._corrections_at_once):
-            larger = self._grown(self._block)
+            larger = grown(self._block)
             if larger is None:
                 return
             self._block = larger
@@ -453,12 +453,6 @@ class Session:
         return (
             max((max(leaf.shape[1:], default=0) for leaf in jax.tree.leaves(block.state)), default=0) < most
         )
-
-    def _grown(self, block: Lane) -> Lane | None:
-        """The block with twice the room; None where that is the same, as it is for learners that know what to do."""
-        before = state_of(block)
-        state = self.learner.grow(before)
-        return None if _shapes(state) == _shapes(before) else with_state(block, self.learner, state)
 
     def _numbers(self, name: str, value: Vector, size: int) -> np.ndarray:
         numbers = np.asarray(vector(name, value, size, "this learner"))

@@ -22,6 +22,9 @@ from gpcjax.moment import Moment
 from gpcjax.policies.base import Controller
 from gpcjax.teachers.base import Teacher
 
+Plain = Array | np.ndarray
+"""What a compiled function takes from the host: one of numpy's costs no call of its own to make."""
+
 _KEPT = ("obs", "action")
 """The fields of `History`."""
 
@@ -62,6 +65,22 @@ def with_state(block: Lane, learner: Learner, state: State) -> Lane:
     return dataclasses.replace(
         block, state=jax.tree.map(lambda leaf: leaf[None], state), controller=controller
     )
+
+
+def grown(block: Lane) -> Lane | None:
+    """The block with twice the room; None where that is the same, as it is for learners that know what to do."""
+    state, controller = _grown(block)
+    if jax.tree.map(jnp.shape, state) == jax.tree.map(jnp.shape, block.state):
+        return None
+    return dataclasses.replace(block, state=state, controller=controller)
+
+
+@eqx.filter_jit
+def _grown(block: Lane) -> tuple[State, Controller]:
+    learner, state = _alone(block)
+    larger = learner.grow(state)
+    controller = jax.tree.map(lambda leaf: jnp.expand_dims(leaf, -1), learner.controller(larger))
+    return jax.tree.map(lambda leaf: leaf[None], larger), controller
 
 
 def place_of(block: Lane) -> dict[str, Any]:
@@ -118,27 +137,27 @@ def stepped(
 def _step(
     controller: Controller,
     moving: tuple[EnvState, Float[Array, "action 1"], Int[Array, " 1"], History | None],
-    obs: Float[Array, " obs"],
-    flags: Bool[Array, " 2"],
+    obs: Float[Plain, " obs"],
+    flags: Bool[Plain, " 2"],
 ) -> tuple[Any, ...]:
     # Without the learner's state, most of a block's leaves: each costs its share of a call.
     env, action, episode, history = moving
     begins, another = flags
     before = Moment(obs=env.obs, action=action, episode=episode, step=env.time)
     history = remember(history, before, ~begins[None])
-    env = _at(env, obs[:, None], jnp.where(begins, 0, env.time + 1).astype(jnp.int32))
+    env = _at(env, jnp.asarray(obs)[:, None], jnp.where(begins, 0, env.time + 1).astype(jnp.int32))
     proposed, finite = propose(controller, env.obs, jnp.zeros(1))
     return env, jnp.clip(proposed, -1.0, 1.0), episode + another, history, proposed, finite
 
 
 @eqx.filter_jit
-def acts(controller: Controller, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+def acts(controller: Controller, obs: Float[Plain, " obs"]) -> Float[Array, " action"]:
     """What a block's controller does at an observation, clipped."""
-    return jnp.clip(controller(obs[:, None])[:, 0], -1.0, 1.0)
+    return jnp.clip(controller(jnp.asarray(obs)[:, None])[:, 0], -1.0, 1.0)
 
 
 @eqx.filter_jit
-def acts_at(controller: Controller, obs: Float[Array, "obs points"]) -> Float[Array, "action points"]:
+def acts_at(controller: Controller, obs: Float[Plain, "obs points"]) -> Float[Array, "action points"]:
     """The same at many observations."""
     return jax.vmap(acts, in_axes=(None, -1), out_axes=-1)(controller, obs)
 
@@ -176,9 +195,9 @@ def _alone(block: Lane) -> tuple[Learner, State]:
 
 
 @eqx.filter_jit
-def advised(block: Lane, advice: Float[Array, "action 1"]) -> Lane:
+def advised(block: Lane, advice: Float[Plain, "action 1"]) -> Lane:
     """The block corrected; idling has its own time."""
-    return correct(dataclasses.replace(block, waiting=jnp.zeros(1, bool)), advice)
+    return correct(dataclasses.replace(block, waiting=jnp.zeros(1, bool)), jnp.asarray(advice))
 
 
 @eqx.filter_jit

@@ -39,9 +39,9 @@ def start_of(cell: Cell) -> Start:
     return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
 
 
-def learner_of(cell: Cell) -> Learner:
-    """The learner of a cell, with the room of its first block."""
-    return _learner(cell, dict(cell.hyperparameters))
+def learner_of(cell: Cell, capacity: int) -> Learner:
+    """The learner of a cell, with room for so many points at first."""
+    return _learner(cell, dict(cell.hyperparameters), capacity)
 
 
 @functools.lru_cache(maxsize=1024)
@@ -53,15 +53,15 @@ def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
     return jax.tree.map(np.asarray, (_learner(cell, values), _teacher(cell, values), credit))
 
 
-def _learner(cell: Cell, values: Mapping[str, float]) -> Learner:
+def _learner(cell: Cell, values: Mapping[str, float], capacity: int | None = None) -> Learner:
     spec: LearnerSpec = find("learner", cell.algo)
     names = {setting.name for setting in spec.settings}
     options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
     if spec.dictionary:
         first = _tiers(program_of(cell))[0]
         options |= {
-            "policy_capacity": first.policy_capacity,
-            "human_capacity": first.human_capacity,
+            "policy_capacity": capacity or first.policy_capacity,
+            "human_capacity": capacity or first.human_capacity,
             "sparsify": cell.sparsify,
             "on_full": cell.on_full,
         }

@@ -32,7 +32,7 @@ def chart(
     """
     x, y = axes
     middle = np.median(places, axis=0) if places else bounds.mean(1)
-    lines = [np.linspace(*bounds[axis], SIDE) for axis in (x, y)]
+    lines = [np.linspace(bounds[axis, 0], bounds[axis, 1], SIDE) for axis in (x, y)]
     grid = np.repeat(np.asarray(middle, float)[:, None], SIDE * SIDE, axis=1)
     across, along = np.meshgrid(*lines)
     grid[x], grid[y] = across.ravel(), along.ravel()

@@ -27,6 +27,9 @@ from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec
 FORMAT = 1
 COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"
 
+FIRST_DICTIONARY = 256
+"""Points for which there is room at first: half a minute of held keys, until the next room is compiled."""
+
 LARGEST_DICTIONARY = 1024
 """Points at most while a person waits: a correction of GPC-NS takes 50 ms there, and four times that beyond."""
 

@@ -141,8 +141,8 @@ class Lesson:
         self.ready.set()
         self._joined()
         self._ask_chart()
-        self._slow.ask("lines", self._measure_lines)
         self._slow.ask("ahead", lambda: session.warm_up(ahead=True))
+        self._slow.ask("lines", self._measure_lines)
 
     def _opened(self) -> "Taught":
         from gpcjax.teach.taught import Taught
@@ -496,7 +496,7 @@ class Lesson:
         size = self._taught.session.learner.obs_size
         axes = (x, y) if max(x, y) < size else (0, min(1, size - 1))
         if (self._chart[:2] != axes and max(self._chart[:2]) >= size) or self._number == 0:
-            self._chart = (*axes, 0)
+            self._chart = (axes[0], axes[1], 0)
         return axes
 
     def _bounds(self) -> Any:

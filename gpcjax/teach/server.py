@@ -298,7 +298,7 @@ def bound(host: str, port: int, attempts: int) -> socket.socket:
     Raises:
         UserError: there is none.
     """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    family, reason = (socket.AF_INET6 if ":" in host else socket.AF_INET), ""
     for number in range(port, port + attempts):
         made = socket.socket(family, socket.SOCK_STREAM)
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -17,7 +17,7 @@ from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
 from gpcjax.registry import find
 from gpcjax.sweep.build import learner_of
-from gpcjax.teach.course import LARGEST_DICTIONARY, POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.course import FIRST_DICTIONARY, LARGEST_DICTIONARY, POLICY, RECORD, SAVES, START, Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
@@ -276,7 +276,7 @@ def _settings(course: Course) -> dict[str, Any]:
 def _beginning(course: Course, start: Path | None) -> tuple[Any, Any]:
     """The learner and the state that it begins with; None for an untaught one."""
     if start is None:
-        return learner_of(course.cell(1)), None
+        return learner_of(course.cell(1), FIRST_DICTIONARY), None
     return load_learner(start)
 
 

@@ -102,8 +102,9 @@ def _setting(setting: Setting, value: float) -> dict[str, Any]:
         case Numbers() as numbers:
             low = numbers.low if math.isfinite(numbers.low) else None
             high = numbers.high if math.isfinite(numbers.high) else None
-        case OneOf() as some:
-            low, high = min(some.values), max(some.values)
+        case OneOf(choices=choices):
+            real = [each for each in choices if not isinstance(each, str)]
+            low, high = min(real), max(real)
     return {
         "name": setting.name,
         "label": setting.name.replace("_", " "),

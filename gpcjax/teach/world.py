@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.engine import streams
@@ -37,16 +38,17 @@ class World:
     @under_own_settings
     def __init__(self, env: Env | HostEnv, seed: int, pictures: bool = False):
         self._env, self._seed = env, seed
-        self._simulation: Simulation | None = None
+        self._simulation: Simulation | None = (
+            env.simulate(pictures=pictures) if isinstance(env, HostEnv) else None
+        )
         self._state: State | None = None
-        if isinstance(env, HostEnv):
-            self._simulation = env.simulate(pictures=pictures)
 
     def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
         """The first observation of this episode, from 0."""
         if self._simulation is not None:
             return self._simulation.reset(_reset_seed(self._seed, episode))
-        self._state = _started(self._env, np.int64(self._seed), np.int64(episode))
+        assert isinstance(self._env, Env)
+        self._state = _started(self._env, jnp.asarray(self._seed), jnp.asarray(episode))
         return np.array(self._state.obs)
 
     def step(self, action: Float[np.ndarray, " action"]) -> Moved:
@@ -56,6 +58,7 @@ class World:
             outcome = self._simulation.step(self._env.scaled(action))
             obs = np.asarray(outcome.obs, np.float64)
             return Moved(obs, outcome.reward, outcome.terminated or outcome.truncated)
+        assert isinstance(self._env, Env) and self._state is not None
         state = _stepped(self._env, self._state, action)
         self._state = state
         over = bool(state.terminated) or bool(state.truncated)
@@ -87,12 +90,12 @@ def _reset_seed(seed: int, episode: int) -> int:
 
 
 @eqx.filter_jit
-def _started(env: Env, seed: Int[Array, ""], episode: Int[Array, ""]) -> State:
+def _started(env: Env, seed: streams.Scalar, episode: streams.Scalar) -> State:
     return started(env, streams.start_key(seed, episode))
 
 
 @eqx.filter_jit
-def _stepped(env: Env, state: State, action: Float[Array, " action"]) -> State:
+def _stepped(env: Env, state: State, action: Any) -> State:
     return stepped(env, state, action)
 
 
