@@ -15,7 +15,7 @@
 #:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
-#:   CREDIT    seconds between a step and the advice about it, as the learner reckons (none)
+#:   CREDIT    seconds between a step and the advice about it, as the learner reckons
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
 #:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
@@ -109,17 +109,18 @@ teach: $(READY) ## teach a policy by hand, in the browser (ENV=, ALGO=; OUT= goe
 bench: $(READY) ## measure the throughput
 	$(call with_args,.venv/bin/python -m benchmarks.throughput)
 
-bench-teach: $(READY) chromium ## measure teaching in a real browser
+bench-teach: $(READY) $(BROWSER) ## measure teaching in a real browser
 	$(call with_args,.venv/bin/python -m benchmarks.teaching)
 
-# What the tests in a browser drive. Where it cannot be had they do not run, and that is said.
-.PHONY: chromium
-chromium:
-	@command -v chromium >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
-		{ echo 'installing Chromium for the tests in a browser'; apt-get -qq update && apt-get -qq install -y chromium; } >&2 2>/dev/null >/dev/null; } || \
+# What tests in a browser drive, asked for once. Where it cannot be had they do not run, and say so.
+BROWSER := .venv/.browser
+APT = test "$$(id -u)" = 0 && timeout 300 apt-get -qq update && timeout 600 apt-get -qq install -y chromium
+$(BROWSER): | $(READY)
+	@command -v chromium >/dev/null || { $(APT); } >/dev/null 2>&1 || \
 		echo 'no Chromium here (Debian: apt install chromium): the tests in a browser do not run' >&2
+	@touch $@
 
-test: $(READY) chromium ## run every test
+test: $(READY) $(BROWSER) ## run every test
 	$(call with_args,.venv/bin/python -m pytest -n 2)
 
 torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found

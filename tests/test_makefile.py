@@ -15,7 +15,9 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.spec import as_dict, spec_of
 
 ROOT = Path(__file__).parents[1]
-VARIABLES = "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH OUT JOBS SPEC ARGS".split()
+VARIABLES = (
+    "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH CREDIT OUT JOBS SPEC ARGS".split()
+)
 RECORDER = """#!{python}
 import json, sys
 with open("called", "a") as file:
@@ -33,7 +35,8 @@ def folder(tmp_path):
     python.parent.mkdir(parents=True)
     python.write_text(RECORDER.format(python=sys.executable))
     python.chmod(0o755)
-    (tmp_path / ".venv" / ".ready").touch()
+    for made in (".ready", ".browser"):
+        (tmp_path / ".venv" / made).touch()
     return tmp_path
 
 
@@ -74,11 +77,15 @@ def test_other_targets(folder):
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
+    assert make(folder, "teach", "ENV=pendulum", "CREDIT=0.2", "ARGS=--speed 0.5").returncode == 0
+    assert make(folder, "bench-teach").returncode == 0
     assert called(folder) == [
         ["-m", "gpcjax", "report", "--", "runs/my run"],
         ["-m", "gpcjax", "oracles"],
         ["-m", "gpcjax", "oracles", "--env=pendulum"],
         ["-m", "pytest", "-n", "2", "-k", "two words"],
+        ["-m", "gpcjax", "teach", "--env=pendulum", "--credit=0.2", "--speed", "0.5"],
+        ["-m", "benchmarks.teaching"],
     ]
 
 
@@ -225,9 +232,7 @@ def test_the_environment_is_not_asked(folder):
 def test_help_lists_every_target_and_variable(folder):
     listed = make(folder)
     assert listed.stdout == make(folder, "help").stdout
-    for (
-        target
-    ) in "help sweep grid report reproduce oracles bench test torture lint format lock clean".split():
+    for target in "help sweep grid report reproduce oracles teach bench bench-teach test torture lint format lock clean".split():
         assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)
     for name in [*VARIABLES, "QUICK", "ONLY", "PYTHON"]:
         assert re.search(rf"^  (\w+, )?{name}\b", listed.stdout, re.MULTILINE)

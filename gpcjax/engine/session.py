@@ -295,7 +295,8 @@ class Session:
         has_room(block, self._corrections_at_once)
         block = advised(block, np.zeros((self.learner.action_size, 1)))
         told(block)
-        uncertain(block), points_of(block), measured(block)
+        for look in (uncertain, points_of, measured):
+            look(block)
         acts(block.controller, np.zeros(self.learner.obs_size))
 
     @property
