@@ -13,6 +13,9 @@ EXTRA = "gpcjax teach needs its extra: pip install 'gpcjax[teach]' ({})"
 SWITCH_SECONDS = 0.0005
 """How long a thread may keep Python while another waits, of the usual 5 ms: no step waits for what is compiled."""
 
+ENDED = 130
+"""The status of what Ctrl-C stops: here it is how a lesson ends."""
+
 
 def teach(
     folder: Path | None,
@@ -66,8 +69,14 @@ def teach(
 
     serving = Serving(lesson, host, port)
     print(f"open {serving.address} in a browser; Ctrl-C ends the lesson, {made} keeps it", flush=True)
-    serving.run()
+    stopped: KeyboardInterrupt | None = None
+    try:
+        serving.run()
+    except KeyboardInterrupt as stop:
+        stopped = stop
     print(f"kept in {serving.lesson.folder}: gpcjax teach --out {serving.lesson.folder} goes on with it")
+    if stopped is not None and getattr(stopped, "status", ENDED) != ENDED:
+        raise stopped
     return 0
 
 
