@@ -35,7 +35,10 @@ SETTINGS = {
     "episodes": 3,
     "oracle": "lqr",
     "rate": 0.2,
+    "max_capacity": 48,
+    "on_full": "replace-nearest",
 }
+"""With dictionaries that do not grow: a program of each learner is enough."""
 KEYS = ["algo", "error", "seed", "episode"]
 GOLDEN = {
     "gpc": {
@@ -255,7 +258,7 @@ def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
 
 
 def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
-    settings = SETTINGS | {"algo": "gpc", "error": 0.0, "seeds": 1, "max_capacity": 3}
+    settings = SETTINGS | {"algo": "gpc", "error": 0.0, "seeds": 1, "max_capacity": 3, "on_full": "error"}
     out = sweep(tmp_path / "out", **settings)
     frame, corrections = read_episodes(out), read_corrections(out)
     assert (
@@ -284,7 +287,8 @@ def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, t
         "--seeds=2",
         "--episodes=3",
     ]
-    words += ["--oracle=lqr", "--rate=0.2", f"--out={out}", "--jobs=2"]
+    words += ["--oracle=lqr", "--rate=0.2", "--max-capacity=48", "--on-full=replace-nearest"]
+    words += [f"--out={out}", "--jobs=2"]
     with process(words, tmp_path) as running:
         wait_for(lambda: len(workers_of(running.pid)) == 2 or running.poll() is not None)
         time.sleep(0.6)
