@@ -81,7 +81,6 @@ COMPILED_PLAINLY = (
     "learners/test_coach.py",
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
-    "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
     "sweep/test_schedule.py",
@@ -92,8 +91,8 @@ COMPILED_PLAINLY = (
     "test_readme.py",
     "test_settings.py",
 )
-"""Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about one program's
-own bits. It compiles in three quarters of the time. Others look at programs, compare bits of several, or have long loops.
+"""Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about the bits of
+one program. It compiles in three quarters of the time. Others look at programs, compare bits of several, or loop long.
 """
 
 LONGEST = (

@@ -262,9 +262,10 @@ def _ask_for_exceptions() -> None:
 
     for each in gc.get_objects():
         # By its type: what only pretends to be of another class may do anything when it is asked.
-        if issubclass(type(each), asyncio.Future) and each.done() and not each.cancelled():
-            if each.get_loop().is_closed():
-                each.exception()
+        if not issubclass(type(each), asyncio.Future) or not each.get_loop().is_closed():
+            continue
+        if each.done() and not each.cancelled():
+            each.exception()
 
 
 @contextlib.contextmanager
