@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
+from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import STEPS, checked, converted, holds_numbers, shown
