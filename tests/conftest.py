@@ -99,17 +99,17 @@ LONGEST = (
     "test_extending.py",
     "sweep/test_sweeps.py",
     "engine/test_rollout.py",
-    "reproduce/test_real.py",
-    "test_settings.py",
-    "sweep/test_lander.py",
-    "reproduce/test_illustrations.py",
-    "engine/test_pool.py",
-    "engine/test_host_pool.py",
+    "engine/test_late.py",
     "learners/test_gpc.py",
     "learners/test_parity.py",
-    "gp/test_factor.py",
-    "reproduce/test_run.py",
-    "test_readme.py",
+    "engine/test_cost.py",
+    "engine/test_host.py",
+    "engine/test_pool.py",
+    "engine/test_host_pool.py",
+    "reproduce/test_real.py",
+    "gp/test_regression.py",
+    "reproduce/test_illustrations.py",
+    "engine/test_session.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""
 
@@ -167,6 +167,16 @@ def workers_in_process(settings_of_jax):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "Processes", lambda jobs: InProcess())
+        yield
+
+
+@pytest.fixture(scope="module")
+def figures_unpainted():
+    """Every figure of this module is made, none is painted: that takes seconds, and the tests of reports do it."""
+    from gpcjax.report import style
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "image", lambda figure, kind: kind.encode())
         yield
 
 

@@ -21,7 +21,7 @@ COMMANDS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, workers_in_process):
+def folder(tmp_path_factory, workers_in_process, figures_unpainted):
     """The files of the page, in the present folder; afterwards nobody knows them any more."""
     folder = tmp_path_factory.mktemp("extending")
     for name, text in FILES.items():

@@ -99,7 +99,7 @@ class TestOfferedRates:
 
 
 @pytest.fixture(scope="module")
-def active(tmp_path_factory, workers_in_process):
+def active(tmp_path_factory, workers_in_process, figures_unpainted):
     """A finished sweep whose teacher learned actively."""
     out = tmp_path_factory.mktemp("active") / "out"
     assert cli.main([*ACTIVE.split(), f"--out={out}"]) == 0
