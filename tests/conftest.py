@@ -14,7 +14,16 @@ from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
 
-install_import_hook("gpcjax", "tests.typechecker.check")
+COMPUTING = (
+    "gpcjax.elementary gpcjax.engine gpcjax.envs gpcjax.gp gpcjax.learners gpcjax.moment gpcjax.policies"
+    " gpcjax.streams gpcjax.sweep.ppo gpcjax.teachers"
+).split()
+"""Whose shapes and types are checked at run time, with each call; the static checker looks after all others.
+
+A nested function is decorated anew at each call, which takes most of the time of what draws figures and writes pages.
+"""
+
+install_import_hook(COMPUTING, "tests.typechecker.check")
 
 # A shell's background job ignores Ctrl-C, and nohup a lost connection; so would all that the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -29,7 +38,6 @@ with warnings.catch_warnings():
 # Matrices of tests are small: a second thread of BLAS waits more than it computes.
 threadpoolctl.threadpool_limits(1, "blas")
 
-jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # The same examples in every run: what is covered is no matter of luck.
@@ -37,21 +45,71 @@ hypothesis.settings.register_profile("gpcjax", deadline=None, derandomize=True, 
 hypothesis.settings.load_profile("gpcjax")
 
 
+DRAWING = (
+    "engine/test_evaluate.py",
+    "engine/test_foreign.py",
+    "engine/test_session.py",
+    "engine/test_streams.py",
+    "envs/",
+    "learners/test_dcoach.py",
+    "policies/test_network.py",
+    "sweep/test_ppo.py",
+    "teachers/",
+    "test_public.py",
+    "test_streams.py",
+)
+"""Modules that draw: there no random key is used twice. Looking after them makes each call of a program a millisecond
+longer; programs that are compiled ahead, as a pool's, are never looked at.
+"""
+
+COMPILED_PLAINLY = (
+    "engine/test_evaluate.py",
+    "engine/test_host.py",
+    "engine/test_late.py",
+    "engine/test_rollout.py",
+    "engine/test_schedule.py",
+    "engine/test_session.py",
+    "envs/test_brax",
+    "envs/test_cartpole.py",
+    "envs/test_experts.py",
+    "envs/test_pendulum.py",
+    "envs/test_predictive.py",
+    "gp/test_factor.py",
+    "gp/test_fit.py",
+    "gp/test_kernels.py",
+    "gp/test_regression.py",
+    "learners/test_coach.py",
+    "learners/test_dcoach.py",
+    "learners/test_gpc.py",
+    "policies/",
+    "reproduce/test_illustrations.py",
+    "sweep/test_schedule.py",
+    "sweep/test_sweeps.py",
+    "teachers/",
+    "test_extending.py",
+    "test_public.py",
+    "test_readme.py",
+    "test_settings.py",
+)
+"""Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about the bits of
+one program. It compiles in three quarters of the time. Others look at programs, compare bits of several, or loop long.
+"""
+
 LONGEST = (
     "test_extending.py",
     "sweep/test_sweeps.py",
     "engine/test_rollout.py",
-    "reproduce/test_real.py",
-    "test_settings.py",
-    "sweep/test_lander.py",
-    "reproduce/test_illustrations.py",
-    "engine/test_pool.py",
-    "engine/test_host_pool.py",
+    "engine/test_late.py",
     "learners/test_gpc.py",
     "learners/test_parity.py",
-    "gp/test_factor.py",
-    "reproduce/test_run.py",
-    "test_readme.py",
+    "engine/test_cost.py",
+    "engine/test_host.py",
+    "engine/test_pool.py",
+    "engine/test_host_pool.py",
+    "reproduce/test_real.py",
+    "gp/test_regression.py",
+    "reproduce/test_illustrations.py",
+    "engine/test_session.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""
 
@@ -74,6 +132,51 @@ def compiled_programs(tmp_path_factory):
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAX_COMPILATION_CACHE_DIR", shared)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def settings_of_jax(request):
+    """Those that this module needs."""
+    name = request.node.nodeid.removeprefix("tests/")
+    settings = {
+        "jax_debug_key_reuse": name.startswith(DRAWING),
+        "jax_disable_most_optimizations": name.startswith(COMPILED_PLAINLY),
+    }
+    for setting, value in settings.items():
+        jax.config.update(setting, value)
+    yield
+    for setting in settings:
+        jax.config.update(setting, False)
+
+
+@pytest.fixture
+def compiled_as_shipped():
+    """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture(scope="module")
+def workers_in_process(settings_of_jax):
+    """Sweeps of this module that are to run in processes run here: no worker has to start, where that is not tested."""
+    from gpcjax.sweep import run
+    from gpcjax.sweep.executors import InProcess
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "Processes", lambda jobs: InProcess())
+        yield
+
+
+@pytest.fixture(scope="module")
+def figures_unpainted():
+    """Every figure of this module is made, none is painted: that takes seconds, and the tests of reports do it."""
+    from gpcjax.report import style
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "image", lambda figure, kind: kind.encode())
         yield
 
 

@@ -42,7 +42,7 @@ def installed():
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
+def both(tmp_path_factory, workers_in_process):
     """A built-in learner and the stranger's, which has a grid of its own."""
     folder = tmp_path_factory.mktemp("both") / "out"
     return sweep(folder, algo=["gpc", "drifting:Linear"], step_size=[0.2, 0.5], **SETTINGS)

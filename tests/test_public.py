@@ -69,10 +69,10 @@ def test_a_task_of_ones_own():
 
 def test_a_sweep_and_its_report(tmp_path):
     out = gpcjax.run_sweep(
-        tmp_path / "out", env="cartpole", algo="coach", seeds=2, episodes=2, oracle="lqr", rate=0.3
+        tmp_path / "out", env="cartpole", algo="coach", seeds=2, episodes=3, oracle="lqr", rate=0.3
     )
     frame = gpcjax.load(out)
-    assert len(frame) == 4
+    assert len(frame) == 6
     gpcjax.draw_report(out)
     for name in ("summary.csv", "curves.png", "curves.pdf", "report.html"):
         assert (out / name).stat().st_size > 100

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree, Scalar
+from jaxtyping import Array, Bool, Float, Int32, PRNGKeyArray, PyTree
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import STEPS, checked, converted, holds_numbers, shown
@@ -175,8 +175,11 @@ def _form(value: Any) -> str:
 
 
 @under_own_settings
-def parameter(value: Any) -> Scalar:
-    """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number."""
+def parameter(value: Any) -> Float[Array, "*lanes"]:
+    """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number.
+
+    It has lanes where a module of several, whose fields are converted once more, is replaced.
+    """
     if converted(float, value) is None and not holds_numbers(value):
         raise UserError(f"a physical parameter is {shown(value)}: give a number")
     return jnp.asarray(value, jnp.float64)

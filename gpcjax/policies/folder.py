@@ -34,8 +34,8 @@ LARGEST_CARD = 2**22
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
 
-LEFT_SECONDS = 0.2
-"""In which other reads end that were under way when one failed: they take milliseconds."""
+LEFT_SECONDS = 1.0
+"""In which other reads end that were under way when one failed: they take milliseconds, more on a busy machine."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -121,6 +121,7 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
         arrays, wrong = _restored(folder, shapes)
         if wrong:
             # What orbax has left complains when it is freed: here, and not at some later time.
+            _ask_for_exceptions()
             gc.collect()
     # Raised where no exception of orbax's is around, which would keep all that alive.
     if wrong:
@@ -248,6 +249,23 @@ def _to_disk(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def _ask_for_exceptions() -> None:
+    """Asks the tasks of loops that do not run how they ended.
+
+    The first array that cannot be read ends orbax's loop, and nobody asks for the exceptions of the others. A thread of
+    tensorstore's may hold their tasks for longer than a moment; asyncio complains when such a task is freed, unless
+    somebody has asked.
+    """
+    import asyncio
+
+    for each in gc.get_objects():
+        # By its type: what only pretends to be of another class may do anything when it is asked.
+        if not issubclass(type(each), asyncio.Future) or each.get_loop().is_running():
+            continue
+        if each.done() and not each.cancelled():
+            each.exception()
 
 
 @contextlib.contextmanager

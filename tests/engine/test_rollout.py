@@ -127,6 +127,7 @@ def counted(lane):
     return {name: rows for name, rows in vars(lane.rows).items() if name not in ("asked", "chance_sum")}
 
 
+@pytest.mark.usefixtures("compiled_as_shipped")
 def test_active_learning():
     """Thinning changes nothing, to the bit; and a plain loop, which knows nothing of it, agrees."""
     tier, teaching = Tier(64, 64, 8), {"rate": 0.02, "delta": 0.0, "error": 0.1, "active_gain": 2.5}

@@ -80,12 +80,12 @@ def store(case: str, folder: Path) -> None:
     MADE_BY.write_text(json.dumps(_here(out), indent=1) + "\n")
 
 
-def check(case: str, folder: Path) -> Iterator[str]:
-    """Runs a case in `folder`; a line for each thing that is not as it is kept.
+def check(case: str, folder: Path, jobs: int = 2) -> Iterator[str]:
+    """Runs a case in `folder`, in so many processes; a line for each thing that is not as it is kept.
 
     Columns that are kept must be there with the same bits; a version may add others.
     """
-    out = sweep(folder / case, jobs=2, **CASES[case])
+    out = sweep(folder / case, jobs=jobs, **CASES[case])
     for table, read in _TABLES.items():
         kept, rows = pd.read_parquet(ROWS / f"{case}-{table}.parquet"), read(out)
         if len(rows) != len(kept):

@@ -304,8 +304,8 @@ def test_a_batch_is_its_members(normalise):
     for i, lane in enumerate(lanes):
         alone = put(process, lane, points[i], targets[i], index[i], given[i])
         # The factors are badly conditioned, so their entries agree less well than what they predict.
-        assert_close(jax.tree.map(lambda leaf, i=i: leaf[i], together), alone, 1e-6)
-        member = jax.tree.map(lambda leaf, i=i: leaf[i], together)
+        assert_close(jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], together), alone, 1e-6)
+        member = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], together)
         probes = rng.normal(size=(3, 3))
         np.testing.assert_allclose(
             predict(process, member, probes), predict(process, alone, probes), atol=1e-12

@@ -28,7 +28,9 @@ def test_without_advice_a_dimension_is_untouched_to_the_bit():
     for advice in ([0, 0], [1, 0], [0, -1]):
         after, info = learner.correct(state, obs, np.zeros(2), advice)
         for i in range(2):
-            before, now = (jax.tree.map(lambda leaf, i=i: leaf[i], each) for each in (state, after))
+            before, now = (
+                jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], each) for each in (state, after)
+            )
             if advice[i] == 0:
                 assert_same_bits(now, before)
                 assert info.rate[i] == 0
@@ -75,7 +77,7 @@ def test_it_knows_no_uncertainty_and_no_dictionary():
 def test_direct_jitted_and_batched_calls_agree():
     learner = make_learner("coach", "lunarlander")
     states = [taught(learner, seed=seed) for seed in range(3)]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *states)
     rng = np.random.default_rng(5)
     obs, h = jnp.asarray(rng.normal(size=(3, 8))), jnp.asarray(rng.choice([-1.0, 0.0, 1.0], size=(3, 2)))
     together = jax.jit(jax.vmap(lambda *arguments: learner.correct(*arguments)))(
@@ -83,7 +85,7 @@ def test_direct_jitted_and_batched_calls_agree():
     )
     for i in range(3):
         direct = learner.correct(states[i], obs[i], jnp.zeros(2), h[i])
-        assert_close(jax.tree.map(lambda leaf, i=i: leaf[i], together), direct, 1e-12)
+        assert_close(jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], together), direct, 1e-12)
         assert_close(jax.jit(learner.correct)(states[i], obs[i], jnp.zeros(2), h[i]), direct, 1e-12)
 
 
@@ -122,7 +124,7 @@ class TestGrid:
         learner = make_learner("coach", "lunarlander")
         state = taught(learner)
         obs = np.random.default_rng(7).normal(size=(8, 5))
-        lanes = jax.tree.map(lambda leaf: jnp.stack([leaf] * 5, -1), learner.controller(state))
+        lanes = jax.tree.map(lambda leaf: jnp.asarray(np.stack([leaf] * 5, -1)), learner.controller(state))
         expected = [
             (state.policy * learner.grid.features(jnp.asarray(each))[None]).sum(tuple(range(1, 9)))
             for each in obs.T

@@ -33,7 +33,7 @@ def taught(learner, count=12, seed=0):
 
 
 def dimension(state, i):
-    return jax.tree.map(lambda leaf: leaf[i], state)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[i], state)
 
 
 @each_variant
@@ -72,16 +72,19 @@ class TestWithoutAdvice:
 
 @each_variant
 class TestFull:
-    """Both dictionaries have four places, and the fifth correction is far from the others."""
+    """Both dictionaries have four places, and the fifth correction is far from the others.
 
-    def correct(self, algo, on_full, policy=4, human=4):
-        learner = make_learner(
-            algo, "cartpole", policy_capacity=policy, human_capacity=human, on_full=on_full
-        )
+    With `repeat` the fourth repeats the third, whose place it takes in the policy: that one has room.
+    """
+
+    def correct(self, algo, on_full, repeat=False, human=4):
+        learner = make_learner(algo, "cartpole", policy_capacity=4, human_capacity=human, on_full=on_full)
         state = learner.init()
-        for step in range(4):
-            state, info = learner.correct(state, 3.0 * np.eye(4)[step], [0.0], [1])
-            assert info.status == Status.OK and info.appended and not info.full
+        for step in (0, 1, 2, 2) if repeat else range(4):
+            obs = 3.0 * np.eye(4)[step]
+            state, info = learner.correct(state, obs, learner.act(state, obs), [1])
+            assert info.status == Status.OK and not info.full
+        assert state.policy.count == (3 if repeat else 4) and state.human.count == 4
         return learner, state, *learner.correct(state, np.array([2.5, 0, 0, -0.5]), [0.1], [-1])
 
     def test_error_refuses(self, algo):
@@ -102,7 +105,7 @@ class TestFull:
         assert after.human.targets[0, 0] == -1
         assert after.policy.targets[0, 0] == pytest.approx(0.1 - info.rate[0])
 
-    @pytest.mark.parametrize("room", [{}, {"policy": 8}, {"human": 8}])
+    @pytest.mark.parametrize("room", [{}, {"repeat": True}, {"human": 8}])
     def test_drop_refuses_for_both_models(self, algo, room):
         """Whichever has no room: neither learns, and the answer says so."""
         _, before, after, info = self.correct(algo, "drop", **room)
@@ -111,8 +114,8 @@ class TestFull:
         assert not info.appended and not info.replaced
 
     def test_replace_nearest_leaves_a_model_with_room_alone(self, algo):
-        _, _, after, info = self.correct(algo, "replace-nearest", policy=8)
-        assert after.policy.count == 5 and after.human.count == 4 and info.appended and info.full
+        _, _, after, info = self.correct(algo, "replace-nearest", repeat=True)
+        assert after.policy.count == 4 and after.human.count == 4 and info.appended and info.full
 
     def test_a_replacement_needs_no_room_in_the_policy(self, algo):
         """SPARS puts a repeat in the place of an old point: a full policy alone refuses nothing."""
@@ -157,13 +160,13 @@ class TestOneCodePath:
         ]
         rng = np.random.default_rng(1)
         observations, advice = rng.normal(size=(8, 5, 8)), rng.choice([-1.0, 0.0, 1.0], size=(8, 5, 2))
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *learners)
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *learners)
         step = lambda learner, state, obs, h: learner.correct(state, obs, learner.act(state, obs), h)  # noqa: E731
         together, jitted = jax.jit(jax.vmap(step)), jax.jit(step)
         batch = jax.vmap(lambda learner: learner.init())(stacked)
         for round in range(8):
             # Each round starts from one state: differences of the last digits must not add up.
-            before = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(5)]
+            before = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], batch) for i in range(2)]
             batch, batch_info = together(
                 stacked, batch, jnp.asarray(observations[round]), jnp.asarray(advice[round])
             )
@@ -171,7 +174,7 @@ class TestOneCodePath:
                 obs, h = observations[round, i], advice[round, i]
                 direct, info = step(learner, before[i], obs, h)
                 compiled, compiled_info = jitted(learner, before[i], jnp.asarray(obs), jnp.asarray(h))
-                member, member_info = jax.tree.map(lambda leaf, i=i: leaf[i], (batch, batch_info))
+                member, member_info = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], (batch, batch_info))
                 for other, other_info in ((compiled, compiled_info), (member, member_info)):
                     assert_close(other_info, info, 1e-12)
                     probe = observations[0, i]
@@ -396,7 +399,7 @@ def test_the_controller_is_the_policy_before_clipping(algo):
             jnp.clip(controller(jnp.asarray(each)), -1, 1), learner.act(state, each), atol=1e-14
         )
     # With lanes on the last axis, as the engine keeps them.
-    lanes = jax.tree.map(lambda leaf: jnp.stack([leaf] * 6, -1), controller)
+    lanes = jax.tree.map(lambda leaf: jnp.asarray(np.stack([leaf] * 6, -1)), controller)
     np.testing.assert_allclose(
         lanes(jnp.asarray(obs.T)), np.stack([controller(jnp.asarray(o)) for o in obs], -1), atol=1e-14
     )

@@ -28,7 +28,7 @@ def episodes(
 ) -> pd.DataFrame:
     """Rows of OUT/episodes: learning curves that rise more slowly with errors; `points` by algorithm for a grid."""
     idle, best = LEVELS[env]
-    frames = []
+    runs, drawn = [], []
     for algo, oracle, error, seed in _cells(algos, oracles, errors, seeds):
         for point in (points or {}).get(algo, [{}]):
             random = np.random.default_rng([seed, len(algo), int(100 * error)])
@@ -38,31 +38,36 @@ def episodes(
             progress = (1 - np.exp(-speed * episode)) + np.random.default_rng(
                 [seed, int(1e6 * sum(point.values()))]
             ).normal(0, 0.08, length)
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "env": env,
-                        "algo": algo,
-                        "oracle": oracle,
-                        "error": error,
-                        "seed": seed,
-                        "episode": episode.astype(np.int32),
-                        "return": idle + (best - idle) * progress.clip(0, 1),
-                        "length": np.int32(200),
-                        "corrections": random.poisson(20 * np.exp(-speed * episode)).astype(np.int32),
-                        "mean_rate": random.uniform(0.05, 0.4, length),
-                        "asked": np.int32(10),
-                        "chance": 0.05,
-                        "policy_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
-                        "human_points": pd.array([None if algo == "coach" else 9] * length, dtype="Int32"),
-                        "clipped": random.binomial(200, 0.02, length).astype(np.int32),
-                        "full": np.int32(0),
-                        "status": "ok",
-                        **{name: point.get(name, np.nan) for name in _names(points)},
-                    }
+            runs.append(
+                (env, algo, oracle, error, seed, *(point.get(name, np.nan) for name in _names(points)))
+            )
+            drawn.append(
+                (
+                    episode,
+                    idle + (best - idle) * progress.clip(0, 1),
+                    random.poisson(20 * np.exp(-speed * episode)),
+                    random.uniform(0.05, 0.4, length),
+                    random.binomial(200, 0.02, length),
                 )
             )
-    return pd.concat(frames, ignore_index=True)
+    frame = _each_run(runs, points, [length] * len(runs))
+    episode, returns, used, rate, clipped = map(np.concatenate, zip(*drawn, strict=True))
+    size = pd.array(np.where(frame["algo"] == "coach", None, 9), dtype="Int32")
+    made = frame.assign(**{
+        "episode": episode.astype(np.int32),
+        "return": returns,
+        "length": np.int32(200),
+        "corrections": used.astype(np.int32),
+        "mean_rate": rate,
+        "asked": np.int32(10),
+        "chance": 0.05,
+        "policy_points": size,
+        "human_points": size.copy(),
+        "clipped": clipped.astype(np.int32),
+        "full": np.int32(0),
+        "status": "ok",
+    })  # fmt: skip
+    return _points_last(made, points)
 
 
 def corrections(
@@ -73,36 +78,38 @@ def corrections(
     points: Mapping[str, Sequence[Mapping[str, float]]] | None = None,
 ) -> pd.DataFrame:
     """Rows of OUT/corrections: rates that fall for GPC and rise for COACH, of 60 to 200 corrections a cell."""
-    frames = []
+    runs, numbers, drawn = [], [], []
     for algo, oracle, error, seed in _cells(algos, oracles, errors, seeds):
         for point in (points or {}).get(algo, [{}]):
             random = np.random.default_rng([seed, len(algo), int(100 * error), 1])
             number = int(random.integers(60, 200))
             start, end = RATE[algo]
             decay = np.exp(-np.arange(number) / (30 * (1 + 5 * error)))
-            sigma = [None] * number if algo == "coach" else random.uniform(0, 0.1, number)
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "env": "cartpole",
-                        "algo": algo,
-                        "oracle": oracle,
-                        "error": error,
-                        "seed": seed,
-                        "episode": 1 + np.arange(number) // 20,
-                        "step": np.arange(number) % 20,
-                        "action_dim": 0,
-                        "rate": end + (start - end) * decay * random.uniform(0.5, 1.5, number),
-                        "sigma_policy": np.array(sigma, dtype=float),
-                        "sigma_human": np.array(sigma, dtype=float),
-                        "appended": True,
-                        "replaced": False,
-                        "full": False,
-                        **{name: point.get(name, np.nan) for name in _names(points)},
-                    }
+            sigma = np.full(number, np.nan) if algo == "coach" else random.uniform(0, 0.1, number)
+            runs.append(
+                ("cartpole", algo, oracle, error, seed, *(point.get(name, np.nan) for name in _names(points)))
+            )
+            numbers.append(number)
+            drawn.append(
+                (
+                    np.arange(number),
+                    end + (start - end) * decay * random.uniform(0.5, 1.5, number),
+                    sigma,
                 )
             )
-    return pd.concat(frames, ignore_index=True)
+    place, rate, sigma = map(np.concatenate, zip(*drawn, strict=True))
+    made = _each_run(runs, points, numbers).assign(
+        episode=1 + place // 20,
+        step=place % 20,
+        action_dim=0,
+        rate=rate,
+        sigma_policy=sigma,
+        sigma_human=sigma,
+        appended=True,
+        replaced=False,
+        full=False,
+    )
+    return _points_last(made, points)
 
 
 def manifest(frame: pd.DataFrame, varying: Sequence[str] = (), **changes: Any) -> dict[str, Any]:
@@ -168,6 +175,23 @@ def write(out: Path, frame: pd.DataFrame, rows: pd.DataFrame, description: Mappi
     specification = description["specification"]
     (out / "manifest.json").write_text(json.dumps({**description, "hash": hash_of(specification)}))
     return out
+
+
+def _each_run(
+    runs: Sequence[tuple[Any, ...]],
+    points: Mapping[str, Sequence[Mapping[str, float]]] | None,
+    lengths: Sequence[int],
+) -> pd.DataFrame:
+    """What is the same in all rows of a run, in as many rows as that has."""
+    frame = pd.DataFrame(runs, columns=["env", "algo", "oracle", "error", "seed", *_names(points)])
+    return frame.loc[frame.index.repeat(lengths)].reset_index(drop=True)
+
+
+def _points_last(
+    frame: pd.DataFrame, points: Mapping[str, Sequence[Mapping[str, float]]] | None
+) -> pd.DataFrame:
+    names = _names(points)
+    return frame[[*frame.columns.drop(names), *names]]
 
 
 def _cells(algos: Sequence[str], oracles: Sequence[str], errors: Sequence[float], seeds: int):

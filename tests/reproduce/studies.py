@@ -59,13 +59,13 @@ def experiment(
     place = frame["error"].map({error: i for i, error in enumerate(errors)}).to_numpy()
     random = np.random.default_rng(1)
     of_seed, own = random.normal(0, spread, seeds), random.normal(0, spread / 10, len(frame))
-    part = np.array([
-        ({**levels, **at(oracle, delta)} if at else levels)[algo]
-        for algo, oracle, delta in zip(
-            frame["algo"], frame["oracle"], frame["delta"] if deltas else [None] * len(frame), strict=True
-        )
-    ], dtype=object)  # fmt: skip
-    part = np.array([_one(value, i) for value, i in zip(part, place, strict=True)])
+    cells = list(
+        zip(frame["algo"], frame["oracle"], frame["delta"] if deltas else [None] * len(frame), strict=True)
+    )
+    at_cell = {
+        (algo, oracle, delta): {**levels, **at(oracle, delta)}[algo] for algo, oracle, delta in set(cells)
+    }
+    part = np.array([_one(at_cell[cell], i) for cell, i in zip(cells, place, strict=True)])
     beginning = frame["episode"].to_numpy() <= EPISODES // 2
     for algo, level in (early or {}).items():
         part = np.where(beginning & (frame["algo"] == algo), level, part)
@@ -111,13 +111,16 @@ def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
 
 def _read(frame, slopes, errors, deltas, first_rate):
     corrections = frame.drop_duplicates(["algo", "oracle", "error", "seed", *(["delta"] if deltas else [])])
+    slope = np.repeat(
+        [
+            float(_one(slopes[algo], errors.index(error)))
+            for algo, error in zip(corrections["algo"], corrections["error"], strict=True)
+        ],
+        CORRECTIONS,
+    )
     corrections = corrections.loc[corrections.index.repeat(CORRECTIONS)].reset_index(drop=True)
     number = np.tile(np.arange(CORRECTIONS), len(corrections) // CORRECTIONS)
     random = np.random.default_rng(2)
-    slope = np.array([
-        _one(slopes[algo], errors.index(error))
-        for algo, error in zip(corrections["algo"], corrections["error"], strict=True)
-    ])  # fmt: skip
     noise = 0.01 * random.normal(size=len(number))
     corrections = corrections.assign(
         episode=1 + number // 20,

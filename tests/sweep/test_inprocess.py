@@ -21,7 +21,7 @@ SETTINGS = {
     "env": "cartpole",
     "algo": "coach",
     "seeds": 3,
-    "episodes": 2,
+    "episodes": 3,
     "oracle": "lqr",
     "rate": 0.2,
 }

@@ -99,10 +99,18 @@ class TestOfferedRates:
 
 
 @pytest.fixture(scope="module")
-def active(tmp_path_factory):
+def active(tmp_path_factory, workers_in_process, figures_unpainted):
     """A finished sweep whose teacher learned actively."""
     out = tmp_path_factory.mktemp("active") / "out"
     assert cli.main([*ACTIVE.split(), f"--out={out}"]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def followed(active, tmp_path_factory):
+    """A finished sweep whose teacher offered as much."""
+    out = tmp_path_factory.mktemp("followed") / "out"
+    assert cli.main([*FOLLOWER.split(), f"--rate-from={active}", f"--out={out}"]) == 0
     return out
 
 
@@ -111,9 +119,8 @@ def specification(out):
 
 
 class TestCommandLine:
-    def test_the_chances_are_offered_anew(self, active, tmp_path):
-        out = tmp_path / "out"
-        assert cli.main([*FOLLOWER.split(), f"--rate-from={active}", f"--out={out}"]) == 0
+    def test_the_chances_are_offered_anew(self, active, followed):
+        out = followed
         offered = read_episodes(active)
         means = offered.groupby("episode")["chance"].mean()
         # They depend on the uncertainty: from the least chance upwards, and in each run different.
@@ -155,9 +162,8 @@ class TestCommandLine:
         assert capsys.readouterr().out.startswith("2 cells of cartpole, 3 episodes each")
         assert not list(tmp_path.iterdir())
 
-    def test_dry_run_into_its_own_folder(self, active, tmp_path):
-        words = [*FOLLOWER.split(), f"--rate-from={active}", f"--out={tmp_path / 'out'}"]
-        assert cli.main(words) == 0
+    def test_dry_run_into_its_own_folder(self, active, followed):
+        words = [*FOLLOWER.split(), f"--rate-from={active}", f"--out={followed}"]
         assert cli.main([*words, "--dry-run"]) == 0
 
     @pytest.mark.parametrize("more", [[], ["--dry-run"]], ids=["run", "dry run"])

@@ -30,7 +30,7 @@ def coins(seed=0, size=2) -> jax.Array:
 def advise(oracle, coins, gap=1.0, sigma=0.0):
     """Advice of lanes whose target is `gap` above the action."""
     shaped = lambda value: jnp.broadcast_to(jnp.asarray(value, float), coins.shape)  # noqa: E731
-    lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, coins.shape[1:]), oracle)
+    lanes = jax.tree.map(lambda leaf: jnp.asarray(np.broadcast_to(leaf, coins.shape[1:])), oracle)
     return np.asarray(lanes.advise(coins, moment(shaped(0.0), shaped(gap), shaped(sigma))))
 
 
@@ -134,7 +134,7 @@ class TestActive:
     def test_thinning_is_exact(self):
         """No coin that may_advise turns down could have brought advice, at any uncertainty up to the bound."""
         largest = 0.3
-        lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (DRAWS,)), self.oracle)
+        lanes = jax.tree.map(lambda leaf: jnp.asarray(np.broadcast_to(leaf, (DRAWS,))), self.oracle)
         for bound in (largest, 0.0):
             may = np.asarray(lanes.may_advise(coins(), jnp.full(DRAWS, bound), jnp.zeros(DRAWS, jnp.int32)))
             near(may.sum(), 0.05 + 2 * bound, may.size)
