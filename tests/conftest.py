@@ -96,6 +96,7 @@ one program. It compiles in three quarters of the time. Others look at programs,
 """
 
 LONGEST = (
+    "teach/test_browser.py",
     "test_extending.py",
     "sweep/test_sweeps.py",
     "engine/test_rollout.py",
