@@ -232,7 +232,9 @@ def test_the_environment_is_not_asked(folder):
 def test_help_lists_every_target_and_variable(folder):
     listed = make(folder)
     assert listed.stdout == make(folder, "help").stdout
-    targets = "help sweep grid report reproduce oracles teach bench bench-teach test torture lint format lock clean"
+    targets = (
+        "help sweep grid report reproduce oracles teach bench bench-teach test torture lint format lock clean"
+    )
     for target in targets.split():
         assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)
     for name in [*VARIABLES, "QUICK", "ONLY", "PYTHON"]:

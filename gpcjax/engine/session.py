@@ -236,9 +236,14 @@ class Session:
         with self._lock:
             if not self._undos:
                 return False
-            before, self.corrections = self._undos.pop()
-            self._block = dataclasses.replace(self._block, state=before.state, controller=before.controller)
-            self._keep("undo")
+            before, corrections = self._undos[-1]
+            with self._recorded():
+                self.corrections = corrections
+                self._block = dataclasses.replace(
+                    self._block, state=before.state, controller=before.controller
+                )
+                self._keep("undo")
+            self._undos.pop()
             return True
 
     def end_episode(self) -> None:

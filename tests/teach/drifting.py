@@ -1,0 +1,25 @@
+"""A task that takes no time: a cart on a slope, and a teacher who pushes it back."""
+
+import jax
+import jax.numpy as jnp
+
+import gpcjax
+
+
+class Drift(gpcjax.Env):
+    obs_size, action_size, max_steps, time_step = 2, 1, 12, 0.01
+
+    def reset(self, key):
+        return self.begin(jax.random.uniform(key, (2,), minval=-0.5, maxval=0.5))
+
+    def step(self, state, action):
+        place, velocity = state.physics
+        velocity += 0.1 * (place + 2.0 * jnp.clip(action[0], -1.0, 1.0))
+        return self.advance(state, jnp.stack([place + 0.1 * velocity, velocity]), reward=1.0 - place**2)
+
+    def render(self, state):
+        return jnp.broadcast_to(jnp.clip(state.physics[0], 0.0, 1.0), (4, 6, 3))
+
+
+def expert(obs):
+    return -jnp.clip(obs[:1] + 0.6 * obs[1:], -1.0, 1.0)

@@ -1,0 +1,295 @@
+"""A lesson without its clock: rows, undo, saving, and a recording that leads to the same wherever it was cut."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import gpcjax
+from gpcjax.errors import UserError
+from gpcjax.recording import RECORD, Recording
+from gpcjax.registry import find
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.spec import Given, spec_of
+from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
+from gpcjax.teach.protocol import Press
+from gpcjax.teach.taught import Evaluation, Taught
+
+ENV = "tests.teach.drifting:Drift"
+
+
+def course(seed=5, **settings):
+    given = {name: Given(value, name) for name, value in settings.items()}
+    return Course.of({"env": Given(ENV, "env"), **given}, seed)
+
+
+def press(number, h=1, dim=0):
+    return Press(number, dim, h, 0, 0.0, 0.0, False)
+
+
+def teach(taught, steps, seed=0):
+    """Some steps with advice at some of them, one of it undone."""
+    draws = np.random.default_rng(seed)
+    for step in range(steps):
+        taught.step()
+        if draws.random() < 0.4:
+            taught.advise(press(step, int(draws.choice([-1, 1]))), 0)
+        if step % 13 == 7:
+            taught.undo()
+
+
+def nothing(line):
+    pass
+
+
+@pytest.fixture(scope="module")
+def lesson(tmp_path_factory):
+    """Two episodes and a part of the third, ended by force once."""
+    folder = tmp_path_factory.mktemp("lesson")
+    taught = Taught.begin(folder, course())
+    teach(taught, 20)
+    taught.save("middle")
+    taught.end("reset")
+    teach(taught, 9, seed=1)
+    taught.keep()()
+    return taught
+
+
+def test_the_course_of_a_task_without_values_is_taught_to_gpc_ns(lesson):
+    assert lesson.course.algo == "gpc-ns"
+    assert Course.read(lesson.folder) == lesson.course
+
+
+def test_rows_are_a_sweeps(lesson):
+    rows = gpcjax.load(lesson.folder)
+    done = lesson.tally.finished
+    assert rows["return"].tolist() == [episode.total for episode in done]
+    assert rows["length"].tolist() == [episode.length for episode in done] == [12, 8]
+    assert rows["corrections"].tolist() == [episode.corrections for episode in done]
+    assert set(rows["env"]) == {ENV} and set(rows["oracle"]) == {"person"} and set(rows["seed"]) == {5}
+    assert rows["human_points"].iloc[-1] > 0
+    corrections = gpcjax.load_corrections(lesson.folder)
+    assert corrections.groupby("episode").size().tolist() == rows["corrections"].tolist()
+    assert (corrections["rate"] > 0).all()
+
+
+def test_rows_grow_with_the_lesson(lesson, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(lesson.folder, folder)
+    taught = Taught.resume(folder, nothing)
+    teach(taught, 12, seed=3)
+    taught.keep()()
+    rows = gpcjax.load(folder)
+    assert rows["episode"].tolist() == [1, 2, 3]
+    assert rows["return"].tolist()[:2] == gpcjax.load(lesson.folder)["return"].tolist()
+    assert len(list((folder / "episodes").iterdir())) == 1
+
+
+def test_what_was_taught_acts_as_a_policy_and_as_an_oracle(lesson):
+    policy = gpcjax.load_policy(lesson.folder / POLICY)
+    for obs in np.random.default_rng(0).normal(size=(5, 2)):
+        np.testing.assert_allclose(policy(obs), lesson.session.act(obs), rtol=0, atol=1e-12)
+    expert = gpcjax.make_expert(ENV, str(lesson.folder / POLICY))
+    assert float(expert([0.1, 0.2])[0]) == float(policy([0.1, 0.2])[0])
+
+
+def test_a_folder_is_a_teacher(lesson):
+    spec = find("teacher", str(lesson.folder))
+    assert not spec.needs_expert and spec.action_size == 1
+    table = np.asarray(spec.make().table)
+    assert (table != 0).sum() == lesson.tally.corrections
+    made = spec_of(env=ENV, teacher=str(lesson.folder), oracle="tests.teach.drifting:expert", seeds=1)
+    assert plan(made)[0].teacher == str(lesson.folder)
+
+
+def test_no_sweep_can_ask_a_person():
+    with pytest.raises(UserError, match="in a sweep nobody is there to advise"):
+        spec_of(env="cartpole", teacher="person")
+
+
+def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
+    taught = Taught.begin(tmp_path, course())
+    taught.step()
+    obs, before = taught.session.obs, taught.session.act(taught.session.obs)
+    done = taught.advise(press(1), 0)
+    assert done.before == before[0] and done.after > done.before
+    assert taught.tally.corrections == taught.session.corrections == 1
+    for _ in range(12):  # into the next episode
+        taught.step()
+    assert taught.undo() and not taught.undo()
+    assert taught.tally.corrections == taught.session.corrections == 0
+    assert taught.tally.finished[0].corrections == 0 and taught.tally.places() == []
+    np.testing.assert_array_equal(taught.session.act(obs), before)
+
+
+def test_saved_and_opened(lesson, tmp_path):
+    opened = Taught.begin(tmp_path, lesson.course, lesson.folder / SAVES / "middle")
+    assert opened.session.points[1] > 0
+    assert opened.episode == 0 and opened.tally.corrections == 0
+    teach(opened, 3)
+    again = Taught.resume(tmp_path, nothing, whole=True)
+    assert_same(again, opened)
+
+
+def test_the_policy_alone_learns_and_records_nothing(lesson):
+    size = (lesson.folder / RECORD).stat().st_size
+    alone = Evaluation(lesson.session.policy(), lesson.course, 0)
+    while not alone.step():
+        pass
+    assert alone.length == 12
+    alone.again()
+    assert alone.index == 1 and alone.length == 0
+    assert (lesson.folder / RECORD).stat().st_size == size
+
+
+def test_a_task_of_ones_own_shows_itself(lesson):
+    picture = lesson.picture()
+    assert picture.shape == (4, 6, 3) and picture.dtype == np.uint8
+
+
+def assert_same(one, other):
+    """To the bit: what they would do, and what they counted."""
+    np.testing.assert_array_equal(one.session.proposed, other.session.proposed)
+    assert (one.session.episode, one.session.step) == (other.session.episode, other.session.step)
+    assert [vars(each) | {"obs": [], "actions": []} for each in one.tally.finished] == [
+        vars(each) | {"obs": [], "actions": []} for each in other.tally.finished
+    ]
+    mine, theirs = one.tally.log(), other.tally.log()
+    assert all(np.array_equal(mine[name], theirs[name], equal_nan=name == "values") for name in mine)
+    for here, there in zip(_leaves(one), _leaves(other), strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
+def _leaves(taught):
+    import jax
+
+    return jax.tree.leaves(taught.session.state)
+
+
+class TestReplay:
+    def test_the_whole_is_the_same(self, lesson):
+        again = Taught.resume(lesson.folder, nothing, whole=True)
+        assert_same(again, lesson)
+        assert again.present.total == lesson.present.total
+
+    @pytest.mark.parametrize("cut", ["line", "torn"])
+    def test_it_goes_on_wherever_it_was_cut(self, lesson, tmp_path, cut):
+        """After kill -9 at any moment: the same bits as of who goes on from there without it."""
+        lines = (lesson.folder / RECORD).read_bytes().splitlines(keepends=True)
+        kinds = {}
+        for number, line in enumerate(lines[1:], 2):
+            event = json.loads(line)
+            kinds.setdefault((event["event"], *sorted(event.get("values", {}))[:1]), number)
+        assert len(kinds) >= 6  # propose, advise, undo, end, and a note of each kind
+        for kind, number in kinds.items():
+            folder = tmp_path / "-".join(kind)
+            folder.mkdir()
+            shutil.copy(lesson.folder / COURSE, folder)
+            kept = b"".join(lines[:number]) + (lines[number][:20] if cut == "torn" else b"")
+            (folder / RECORD).write_bytes(kept)
+            taught = Taught.resume(folder, nothing)
+            teach(taught, 14)
+            again = Taught.resume(folder, nothing, whole=True)
+            assert_same(again, taught)
+
+    @pytest.mark.parametrize(
+        ("kind", "change", "told"),
+        [
+            ("propose", lambda event: event["obs"].__setitem__(0, 0.25), "the task was at|the action was"),
+            ("propose", lambda event: event["action"].__setitem__(0, 0.25), "the action was"),
+            ("note", lambda event: event["values"].__setitem__("total", 1.5), "it returned 1.5"),
+            (
+                "advise",
+                lambda event: event.update(advice=[-event["advice"][0]]),
+                "the action was|the task was",
+            ),
+        ],
+    )
+    def test_it_says_where_it_comes_to_something_else(self, lesson, tmp_path, kind, change, told):
+        shutil.copy(lesson.folder / COURSE, tmp_path)
+        lines = (lesson.folder / RECORD).read_text().splitlines()
+        events = [json.loads(line) for line in lines]
+        which = [
+            number
+            for number, event in enumerate(events)
+            if event.get("event") == kind and (kind != "note" or "ended" in event["values"])
+        ]
+        number = which[min(6, len(which) - 1)] if kind != "advise" else which[0]
+        change(events[number])
+        (tmp_path / RECORD).write_text("\n".join(map(json.dumps, events)) + "\n")
+        with pytest.raises(UserError, match=told) as raised:
+            Taught.resume(tmp_path, nothing, whole=True)
+        assert "episode" in str(raised.value)
+
+
+class TestFullDisk:
+    @pytest.fixture
+    def full(self, tmp_path, monkeypatch):
+        taught = Taught.begin(tmp_path, course())
+        teach(taught, 5)
+        real = Recording.append
+
+        def half(self, event):
+            with open(tmp_path / RECORD, "rb") as file:
+                before = file.read()
+            try:
+                real(self, event)
+            finally:
+                (tmp_path / RECORD).write_bytes(before)
+            raise UserError("record: it cannot be written (No space left on device)")
+
+        monkeypatch.setattr(Recording, "append", half)
+        return taught, monkeypatch
+
+    def test_what_cannot_be_written_down_has_not_happened(self, full):
+        taught, patch = full
+        before = taught.session.proposed, taught.session.corrections, taught.session.step
+        leaves = list(map(np.asarray, _leaves(taught)))
+        for do in (lambda: taught.advise(press(1), 0), taught.undo, lambda: taught.end("reset")):
+            with pytest.raises(UserError, match="No space left"):
+                do()
+        np.testing.assert_array_equal(taught.session.proposed, before[0])
+        assert (taught.session.corrections, taught.session.step) == before[1:]
+        for here, there in zip(_leaves(taught), leaves, strict=True):
+            np.testing.assert_array_equal(here, there)
+        patch.undo()
+        teach(taught, 3)
+        assert_same(Taught.resume(taught.folder, nothing, whole=True), taught)
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("content", "told"),
+        [
+            (None, "cannot be read"),
+            ("{", "damaged, or of another version"),
+            ('{"format": 2}', "damaged, or of another version"),
+            ('{"format": 1, "env": "moon", "algo": "gpc", "settings": {}, "seed": 0}', "env 'moon'"),
+        ],
+    )
+    def test_a_folder_of_something_else(self, tmp_path, content, told):
+        if content is not None:
+            (tmp_path / COURSE).write_text(content)
+        with pytest.raises(UserError, match=told):
+            Taught.resume(tmp_path, nothing)
+
+    def test_several_values(self):
+        with pytest.raises(UserError, match="one learner at a time"):
+            course(policy_length_scale=(0.1, 0.2))
+
+
+def test_settings_come_back_as_they_were(tmp_path):
+    written = course(policy_length_scale=(0.3,), credit=(0.2,))
+    written.write(tmp_path)
+    assert Course.read(tmp_path) == written
+    assert dict(written.settings) == {"policy_length_scale": 0.3, "credit": 0.2}
+
+
+def test_folders_are_numbered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert str(new_folder("cartpole")) == "runs/taught-cartpole-1"
+    new_folder("cartpole").mkdir(parents=True)
+    assert str(new_folder("cartpole")) == "runs/taught-cartpole-2"
+    assert str(new_folder("x", beside=tmp_path / "runs" / "taught-cartpole-1")).endswith("taught-cartpole-2")
+    assert "/" not in new_folder("gym:Some/Thing-v0").name
