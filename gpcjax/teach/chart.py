@@ -37,7 +37,7 @@ def chart(
     across, along = np.meshgrid(*lines)
     grid[x], grid[y] = across.ravel(), along.ravel()
     actions = act_at(grid)[dim]
-    values = np.nan_to_num(actions * 127).round().astype(np.int8)
+    values = (np.nan_to_num(actions).clip(-1, 1) * 127).round().astype(np.int8)
     kept = np.asarray(places[-MOST_PLACES:], float).reshape(-1, len(bounds))[:, [x, y]]
     return {
         "type": "map",

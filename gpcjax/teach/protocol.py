@@ -71,7 +71,7 @@ def parse(text: str | bytes) -> Command:
     Raises:
         Refused: it is too long, no JSON, or of no known form.
     """
-    if len(text) > MESSAGE_BYTES:
+    if len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass")) > MESSAGE_BYTES:
         raise Refused("too long")
     try:
         message = json.loads(text, parse_constant=_no_number)
