@@ -102,6 +102,10 @@ class Lesson:
         if self._thread.is_alive():
             self._thread.join()
 
+    def join(self) -> None:
+        """Waits until it has ended."""
+        self._thread.join()
+
     @property
     def folder(self) -> Path:
         """Where the present lesson is kept."""
