@@ -326,6 +326,9 @@ class Lesson:
         self._anew(self._taught.course, path)
 
     def _begin_anew(self, name: str, settings: dict[str, float]) -> None:
+        if name not in self._learners():  # a name may be that of any module: the page loads none
+            self._problem(f"{name} is no learner that is offered here")
+            return
         try:
             spec = find("learner", name)
             known = {setting.name: setting for setting in spec.settings}

@@ -4,11 +4,15 @@ import builtins
 import contextlib
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from gpcjax import cli
+from gpcjax.registry import find
 from gpcjax.teach.course import COURSE, Course
+from gpcjax.teach.lesson import Lesson, Options
+from gpcjax.teach.protocol import Command
 from gpcjax.teach.server import bound
 
 
@@ -142,3 +146,15 @@ def test_without_the_extra(capsys, monkeypatch):
     monkeypatch.delitem(sys.modules, "gpcjax.teach.server", raising=False)
     monkeypatch.delattr("gpcjax.teach.server", raising=False)
     assert "pip install 'gpcjax[teach]'" in fails(capsys, "teach", "--env", "pendulum")
+
+
+def test_a_page_has_no_module_loaded(here, monkeypatch):
+    """The page's messages may name a learner that is offered, never MODULE:CLASS of its own."""
+    (here / "planted.py").write_text("raise SystemExit('loaded')")
+    monkeypatch.syspath_prepend(here)
+    told = []
+    lesson = Lesson(here, None, None, Options(), told.append)
+    lesson._taught = SimpleNamespace(course=Course("pendulum", "gpc"))
+    lesson._task = find("task", "pendulum")
+    lesson._obey(Command("learner", {"name": "planted:Learner", "settings": {}}))
+    assert [message["type"] for message in told] == ["problem"] and "planted" not in sys.modules
