@@ -22,8 +22,10 @@ class Errands:
         self._thread.start()
 
     def ask(self, name: str, do: Callable[[], None], apart: float = 0.0) -> None:
-        """Does `do` soon, at least `apart` seconds after the last errand of this name ended."""
+        """Does `do` soon, at least `apart` seconds after the last of this name ended; nothing once closed."""
         with self._changed:
+            if self._over:  # an errand that asks for itself again would never end
+                return
             self._waiting[name] = (do, apart)
             self._changed.notify()
 

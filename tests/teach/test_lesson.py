@@ -1,0 +1,248 @@
+"""A lesson with its clock, on a task that takes no time: what the page asks for, and what it is told."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import gpcjax
+from gpcjax.sweep.spec import Given
+from gpcjax.teach.course import RECORD, Course
+from gpcjax.teach.lesson import Lesson, Options
+from gpcjax.teach.protocol import Command, Press
+
+ENV = "tests.teach.drifting:Drift"
+ROOT = Path(__file__).parents[2]
+
+
+class Held:
+    """A lesson, and all that it has told."""
+
+    def __init__(self, folder, origin=None, fresh=True):
+        self.told = []
+        folder.mkdir(exist_ok=True)
+        course = (
+            Course.of({"env": Given(ENV, "env"), "algo": Given(("gpc-ns",), "algo")}, 5) if fresh else None
+        )
+        self.lesson = Lesson(
+            folder, course, origin, Options(oracle="tests.teach.drifting:expert"), self._hear
+        )
+        self.lesson.start()
+        assert self.lesson.ready.wait(120)
+        assert self.lesson.failure is None
+
+    def _hear(self, message):
+        self.told.append(message)
+
+    def ask(self, kind, press=None, **values):
+        self.lesson.submit(Command(kind, values, press))
+
+    def press(self, number, h=1, dim=0, shown=0):
+        self.ask("press", Press(number, dim, h, shown, 0.0, 0.0, False))
+
+    def messages(self, kind):
+        return [each for each in list(self.told) if isinstance(each, dict) and each["type"] == kind]
+
+    def wait(self, kind, true=lambda message: True, seconds=30):
+        """The first message of this type, among those told since the last `forget`, for which this is true."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for message in self.messages(kind):
+                if true(message):
+                    return message
+            time.sleep(0.01)
+        raise AssertionError(f"no such {kind}: {self.messages(kind)[-3:]}, {self.messages('problem')}")
+
+    def forget(self):
+        self.told.clear()
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    held = Held(tmp_path_factory.mktemp("lessons") / "taught-1")
+    yield held
+    held.lesson.close()
+    assert held.lesson.failure is None
+
+
+@pytest.fixture(autouse=True)
+def resting(request):
+    """Each test begins with a lesson that rests and says nothing."""
+    if "held" in request.fixturenames:
+        held = request.getfixturevalue("held")
+        held.forget()
+        held.ask("pause", on=True)
+        held.wait("state", lambda state: state["paused"])
+        held.forget()
+
+
+def test_a_page_is_told_everything(held):
+    held.ask("joined")
+    task = held.wait("task")
+    assert task["task"]["scene"] == "pictures" and len(task["task"]["observations"]) == 2
+    assert task["learner"]["name"] == "gpc-ns"
+    assert "coach" not in [each["name"] for each in task["learners"]]  # no grid of it is known here
+    frame = held.wait("frame")
+    assert len(frame["obs"]) == 2 and len(frame["action"]) == 1 and frame["prior"] > 0
+    lines = held.wait("lines", lambda lines: lines["oracle"] is not None, 60)
+    assert lines["oracle"] > lines["idle"]
+    drawn = held.wait("map")
+    assert drawn["size"] == [41, 41]
+    held.ask("step")
+    assert isinstance(held.wait("frame", lambda frame: frame["n"] > held.messages("frame")[0]["n"]), dict)
+    assert any(isinstance(each, bytes) for each in held.told)
+
+
+def test_a_press_starts_it_and_counts(held):
+    held.ask("left")
+    held.wait("state", lambda state: state["why"] == "connection" or state["paused"])
+    held.forget()
+    held.ask("pause", on=False)
+    held.press(7)
+    advised = held.wait("advised")
+    assert advised["id"] == 7 and advised["after"] > advised["before"] and advised["status"] == "ok"
+    held.wait("frame")
+    held.wait("episode", lambda episode: episode["why"] == "over" and episode["steps"] == 12)
+
+
+def test_at_rest_a_press_teaches_and_nothing_moves(held):
+    held.press(8, h=-1)
+    advised = held.wait("advised")
+    assert advised["after"] < advised["before"]
+    assert not held.messages("frame")
+    held.ask("undo")
+    undone = held.wait("undone")
+    assert undone["corrections"] == advised["corrections"] - 1
+
+
+def test_a_step_and_the_end_of_an_episode(held):
+    held.ask("step")
+    first = held.wait("frame")
+    held.ask("reset")
+    ended = held.wait("episode")
+    assert ended["why"] == "reset" and ended["index"] == first["episode"]
+    frame = held.wait("frame", lambda frame: frame["step"] == 0)
+    assert frame["episode"] == first["episode"] + 1 and frame["total"] == 0.0
+
+
+def test_advice_about_an_episode_that_is_over_is_none(held):
+    held.ask("step")
+    shown = held.wait("frame")["n"]
+    held.ask("reset")
+    held.wait("episode")
+    held.press(9, shown=shown)
+    held.press(10, dim=3)
+    held.press(11)
+    held.wait("advised")
+    assert [each["id"] for each in held.messages("advised")] == [11]
+
+
+def test_let_it_run(held):
+    held.ask("run", on=True)
+    held.wait("episode", lambda episode: episode["mode"] == "run")
+    held.press(12)
+    held.ask("run", on=False)
+    held.wait("state", lambda state: state["mode"] == "teach")
+    assert not held.messages("advised")
+
+
+def test_speed(held):
+    held.ask("speed", value=0.5)
+    assert held.wait("state", lambda state: state["speed"] == 0.5)
+    held.ask("speed", value=1.0)
+
+
+def test_after_a_sleep_no_steps_are_made_up_for(held):
+    """A laptop that slept for an hour: its clock goes on from now."""
+    held.ask("pause", on=False)
+    held.wait("frame")
+    held.lesson._due -= 3600.0
+    held.forget()
+    began = time.monotonic()
+    time.sleep(0.3)
+    held.ask("pause", on=True)
+    held.wait("state", lambda state: state["paused"])
+    seconds = time.monotonic() - began
+    assert len(held.messages("frame")) <= 2 + seconds / 0.01 + 0.25 / 0.01
+
+
+def test_map(held):
+    held.ask("map", x=1, y=0, dim=0)
+    drawn = held.wait("map", lambda drawn: drawn["x"] == 1)
+    assert drawn["y"] == 0
+    held.ask("map", x=1, y=9, dim=0)  # there is no such number
+    held.ask("map", x=0, y=1, dim=0)
+    held.wait("map", lambda drawn: drawn["x"] == 0)
+    assert all(drawn["y"] != 9 for drawn in held.messages("map"))
+
+
+def test_saved_opened_and_begun_anew(held):
+    first = held.lesson.folder
+    held.press(13)
+    held.wait("advised")
+    held.ask("save", name="good")
+    assert held.wait("saved")["saves"] == ["good"]
+    held.ask("open", name="nothing")
+    assert "nothing is saved" in held.wait("problem")["text"]
+    held.ask("learner", name="gpc", settings={"policy_length_scale": -1.0})
+    held.wait("problem", lambda problem: "policy_length_scale" in problem["text"])
+    assert held.lesson.folder == first
+    held.forget()
+    held.ask("open", name="good")
+    task = held.wait("task", seconds=60)
+    assert task["corrections"] == 0 and task["points"][1] > 0
+    second = held.lesson.folder
+    assert second.name == "taught-2" and (second / "start").is_dir()
+    held.forget()
+    held.ask("learner", name="d-coach", settings={"learning_rate": 0.1})
+    task = held.wait("task", seconds=120)
+    assert task["learner"]["name"] == "d-coach" and held.lesson.folder.name == "taught-3"
+    assert {each["name"]: each["value"] for each in task["learner"]["settings"]}["learning_rate"] == 0.1
+
+
+def test_two_lessons_in_one_folder(held):
+    told = []
+    other = Lesson(held.lesson.folder, None, None, Options(), told.append)
+    other.start()
+    other.ready.wait(60)
+    other.close()
+    assert "in use" in str(other.failure) or "writes" in str(other.failure) or "another" in str(other.failure)
+
+
+def command(*words):
+    return [sys.executable, "-m", "gpcjax", *map(str, words)]
+
+
+def test_killed_and_gone_on_with(tmp_path):
+    """Kill -9 of a lesson as a process: what was recorded is there, is the same to the bit, and goes on."""
+    folder = tmp_path / "taught-1"
+    script = f"""
+import time
+from tests.teach.test_lesson import Held
+from pathlib import Path
+held = Held(Path({str(folder)!r}))
+held.ask("pause", on=False)
+for number in range(1000):
+    held.press(number, h=1 if number % 3 else -1)
+    time.sleep(0.02)
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+    end = time.monotonic() + 120
+    while not (folder / RECORD).exists() or (folder / RECORD).read_bytes().count(b'"advise"') < 30:
+        assert time.monotonic() < end and process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    advised = (folder / RECORD).read_bytes().count(b'"advise"')
+    held = Held(folder, fresh=False)
+    assert held.wait("task")["corrections"] == advised
+    held.ask("pause", on=False)
+    held.press(1)
+    held.wait("advised", lambda advised_: advised_["corrections"] == advised + 1)
+    held.lesson.close()
+    done = subprocess.run(command("replay", folder), cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "the same to the bit" in done.stdout, done.stderr
+    assert len(gpcjax.load(folder)) >= 1
