@@ -119,7 +119,7 @@ class Course:
                 "algo": str(algo),
                 "settings": dict(settings),
                 "seed": int(seed),
-            }:
+            } if seed >= 0:
                 course = cls(env, algo, tuple(settings.items()), seed)
                 course.spec(1)  # refuses what does not fit
                 return course

@@ -52,7 +52,7 @@ def teach(
         raise UserError(
             f"no env: give one (--env), or a folder of gpcjax teach to go on with (--out {folder or 'OUT'})"
         )
-    elif folder is not None and folder.exists() and any(folder.iterdir()):
+    elif folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: it holds something else, give a new folder (--out)")
     made = folder if folder is not None else new_folder(course.env if course else "")
     try:

@@ -12,6 +12,7 @@ import ipaddress
 import json
 import secrets
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -76,11 +77,13 @@ class Page:
         self._something = asyncio.Event()
         self._closing = False
         self._framed = 0.0
-        self.slow = False
-        """Whether it takes too long to read."""
+        self.slow = asyncio.Event()
+        """Set when it takes too long to read: `send` waits for it then, maybe for ever."""
 
     def put(self, message: dict[str, Any] | bytes) -> None:
-        """Has a message sent soon."""
+        """Has a message sent soon, unless it is being closed: nothing follows `gone`."""
+        if self._closing:
+            return
         if isinstance(message, bytes):
             self._newest["picture"] = message
         elif message["type"] in ("frame", "map"):
@@ -88,7 +91,8 @@ class Page:
         elif len(self._waiting) < MOST_WAITING:
             self._waiting.append(_text(message))
         else:
-            self.slow = self._closing = True
+            self._closing = True
+            self.slow.set()
         self._something.set()
 
     def close(self, reason: str) -> None:
@@ -155,20 +159,21 @@ class Room:
         page = Page(websocket)
         sending = asyncio.create_task(page.send())
         listening = asyncio.create_task(self._listen(websocket, page))
+        slow = asyncio.create_task(page.slow.wait())
         page.put({"type": "hello", "version": gpcjax.__version__, "taken": self._teaching is not None})
         if self._teaching is None:
             self._take(page)
         try:
-            await asyncio.wait([sending, listening], return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([sending, listening, slow], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (sending, listening):
+            for task in (sending, listening, slow):
                 task.cancel()
-            await asyncio.gather(sending, listening, return_exceptions=True)
+            await asyncio.gather(sending, listening, slow, return_exceptions=True)
             if self._teaching is page:
                 self._teaching = None
                 self._lesson.submit(Command("left"))
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-                await websocket.close(1008 if page.slow else 1000)
+                await websocket.close(1008 if page.slow.is_set() else 1000)
 
     def _take(self, page: Page) -> None:
         if self._teaching is not None:
@@ -276,11 +281,12 @@ class Door:
 
 def application(room: Room, names: frozenset[str] | None, token: str) -> Any:
     """The page, its files, and its websocket."""
+    names_of_page = frozenset(each.name for each in PAGE.iterdir() if each.is_file())
 
     async def page(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
         path = PAGE / name
-        if "/" in name or "\\" in name or path.suffix not in KINDS or not path.is_file():
+        if name not in names_of_page or path.suffix not in KINDS:
             return PlainTextResponse("there is nothing\n", 404)
         return FileResponse(path, media_type=KINDS[path.suffix])
 
@@ -359,6 +365,7 @@ class Serving:
             BaseException: what ended the lesson.
         """
         self.lesson.start()
+        threading.Thread(target=self._end_with_lesson, daemon=True, name="end of the lesson").start()
         try:
             self._server.run(sockets=[self._socket])
         finally:
@@ -366,3 +373,8 @@ class Serving:
             self._socket.close()
         if self.lesson.failure is not None:
             raise self.lesson.failure
+
+    def _end_with_lesson(self) -> None:
+        """Has the server end when the lesson did: there is nothing to teach any more."""
+        self.lesson.join()
+        self._server.should_exit = True

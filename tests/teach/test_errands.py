@@ -106,4 +106,4 @@ def test_one_that_asks_for_itself_again_ends_with_the_others():
     errands.ask("flush", again, 3600.0)
     assert begun.wait(LONG)
     errands.close()
-    assert len(count) == 3
+    assert len(count) <= 2, "what is asked for after the end is not done"
