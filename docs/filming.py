@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-APART, SECONDS, WIDTH, COLOURS = 0.2, 11.0, 720, 48
+APART, SECONDS, WIDTH, COLOURS = 0.2, 11.0, 720, 200
 TEACHER = Path(__file__).parents[1] / "tests" / "teach" / "teacher.js"
 
 
@@ -47,7 +47,11 @@ def film(target: Path, env: str = "cartpole", chromium: str = "/usr/bin/chromium
         )
         for _, picture in pictures
     ]
-    palette = small[-1].quantize(COLOURS)
+    some = small[:: max(1, len(small) // 8)]
+    all_of_them = Image.new("RGB", (WIDTH, sum(picture.height for picture in some)))
+    for place, picture in enumerate(some):
+        all_of_them.paste(picture, (0, place * picture.height))
+    palette = all_of_them.quantize(COLOURS)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in small]
     times = [at for at, _ in pictures] + [SECONDS + 1.0]
     shown = [round(1000 * (after - at)) for at, after in itertools.pairwise(times)]
