@@ -329,8 +329,8 @@ class Lesson:
             self._tell.problem(f"nothing is saved as {name}")
 
     def _begin_anew(self, name: str, settings: dict[str, float]) -> None:
-        if name not in self._learners():  # a name may be that of any module: the page loads none
-            self._problem(f"{name} is no learner that is offered here")
+        if name not in self._tell.learners():  # a name may be that of any module: the page loads none
+            self._tell.problem(f"{name} is no learner that is offered here")
             return
         try:
             course = _course_with(self._taught.course, name, settings)

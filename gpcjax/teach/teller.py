@@ -181,7 +181,7 @@ class Teller:
             "type": "task",
             "task": described_task(self.task, taught.session.learner, self._bounds(), self._axes),
             "learner": described_learner(course.algo, self.task, dict(course.settings)),
-            "learners": [described_learner(name, self.task, {}) for name in self._learners()],
+            "learners": [described_learner(name, self.task, {}) for name in self.learners()],
             "repeat": self._options.repeat,
             "credit": dict(course.settings).get("credit"),
             "folder": str(taught.folder),
@@ -194,7 +194,8 @@ class Teller:
             "lines": self._lines,
         }
 
-    def _learners(self) -> list[str]:
+    def learners(self) -> list[str]:
+        """Who can be chosen to learn."""
         names = [*built_in("learner"), self._taught.course.algo]
         fits = [name for name in names if name != "coach" or "coach" in self.task.presets]
         return list(dict.fromkeys(fits))

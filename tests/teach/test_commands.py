@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import pytest
 
 from gpcjax import cli
-from gpcjax.registry import find
 from gpcjax.teach.course import COURSE, Course
-from gpcjax.teach.lesson import Lesson, Options
+from gpcjax.teach.lesson import Lesson, Options, Standing
 from gpcjax.teach.protocol import Command
 from gpcjax.teach.server import bound
+from gpcjax.teach.teller import Teller
 
 
 @pytest.fixture(autouse=True)
@@ -154,7 +154,10 @@ def test_a_page_has_no_module_loaded(here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     told = []
     lesson = Lesson(here, None, None, Options(), told.append)
-    lesson._taught = SimpleNamespace(course=Course("pendulum", "gpc"))
-    lesson._task = find("task", "pendulum")
+    learner = SimpleNamespace(largest_sigma=lambda: 0.0, obs_size=3, action_size=1)
+    taught = SimpleNamespace(
+        course=Course("pendulum", "gpc"), session=SimpleNamespace(learner=learner, room=1)
+    )
+    lesson._taught, lesson._teller = taught, Teller(taught, Standing(1.0), Options(), told.append)
     lesson._obey(Command("learner", {"name": "planted:Learner", "settings": {}}))
     assert [message["type"] for message in told] == ["problem"] and "planted" not in sys.modules
