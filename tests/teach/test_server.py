@@ -7,14 +7,16 @@ import queue
 import socket
 import threading
 import time
+import zipfile
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from gpcjax.errors import UserError
-from gpcjax.teach import server
-from gpcjax.teach.server import COOKIE, HEADERS, PAGE, Serving, bound, is_local
+from gpcjax.teach import room
+from gpcjax.teach.door import HEADERS
+from gpcjax.teach.server import PAGE, Serving, bound, is_local
 
 LONG = 20.0
 
@@ -195,7 +197,7 @@ def test_beyond_this_machine_only_with_the_token(with_token):
     token = with_token.serving.token
     for path, headers in (
         ("/", {}), ("/page/style.css", {}), (f"/page/style.css?token={token}", {}), ("/?token=", {}),
-        ("/?token=%ff%00", {}), (f"/?token={token}a", {}), ("/", {"Cookie": f"{COOKIE}=no"}),
+        ("/?token=%ff%00", {}), (f"/?token={token}a", {}), ("/", {"Cookie": f"gpcjax-token-{with_token.port}=no"}),
     ):  # fmt: skip
         status, answered, _ = with_token.asks(path, **headers)
         assert status == 403 and HEADERS.items() <= answered.items()
@@ -290,7 +292,7 @@ def test_nothing_follows_the_end(alone):
 def test_a_page_that_talks_nonsense_is_sent_away(alone):
     with alone.page() as page:
         alone.lesson.hears("joined")
-        for _ in range(server.MOST_REFUSED):
+        for _ in range(room.MOST_REFUSED):
             page.send("nonsense")
         _says(page, type="step")
         alone.lesson.hears("step")
@@ -304,7 +306,7 @@ def test_a_page_that_talks_too_much_is_sent_away(alone):
     with alone.page() as page:
         alone.lesson.hears("joined")
         with contextlib.suppress(ConnectionClosed):
-            for _ in range(20 * server.MOST_MESSAGES):
+            for _ in range(20 * room.MOST_MESSAGES):
                 _says(page, type="step")
         told, _ = _closed(page)
         assert told[-1]["type"] == "gone" and "too many" in told[-1]["reason"]
@@ -348,7 +350,7 @@ def test_a_page_that_does_not_read_is_left(alone):
             if n % 50 == 0:
                 time.sleep(0.005)
         alone.lesson.hears("left")
-        assert ours.slow.is_set() and len(ours._waiting) <= server.MOST_WAITING
+        assert ours.slow.is_set() and len(ours._waiting) <= room.MOST_WAITING
 
 
 # --- the end
@@ -380,3 +382,11 @@ def test_a_port_in_use_is_said_or_the_next_one_taken():
 def test_a_host_that_is_none_is_said(host):
     with pytest.raises(UserError, match="--host"):
         bound(host, 0, 1)
+
+
+def test_a_wheel_has_the_page(tmp_path, monkeypatch):
+    from flit_core import buildapi
+
+    monkeypatch.chdir(PAGE.parents[2])
+    wheel = zipfile.ZipFile(tmp_path / buildapi.build_wheel(str(tmp_path)))
+    assert {f"gpcjax/teach/page/{each.name}" for each in PAGE.iterdir()} <= set(wheel.namelist())
