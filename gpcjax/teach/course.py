@@ -27,11 +27,11 @@ from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec
 FORMAT = 1
 COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"
 
-FIRST_DICTIONARY = 256
-"""Points for which there is room at first: half a minute of held keys, until the next room is compiled."""
-
-LARGEST_DICTIONARY = 1024
-"""Points at most while a person waits: a correction of GPC-NS takes 50 ms there, and four times that beyond."""
+DICTIONARY = 1024
+"""Points for which there is room, from the start: compiling for a larger one while a person teaches made steps wait for
+half a second. A correction takes 7 ms with GPC and 24 with GPC-NS, and four times that with twice the room. A full
+dictionary replaces its nearest point.
+"""
 
 __all__ = ["COURSE", "POLICY", "RECORD", "SAVES", "START", "Course", "new_folder"]
 

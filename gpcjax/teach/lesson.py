@@ -145,8 +145,9 @@ class Lesson:
         self._evaluation, self._first_of_episode = None, 0
         self._teller = Teller(self._taught, self._standing, self._options, self._say)
         self._seconds = self._teller.task.time_step or USUAL_STEP
-        self.ready.set()
+        self._tell_preparing("measuring the expert, and doing nothing")
         self._teller.begin()
+        self.ready.set()
 
     def _opened(self) -> "Taught":
         from gpcjax.teach.taught import Taught

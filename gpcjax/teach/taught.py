@@ -17,14 +17,14 @@ from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
 from gpcjax.registry import find
 from gpcjax.sweep.build import learner_of
-from gpcjax.teach.course import FIRST_DICTIONARY, LARGEST_DICTIONARY, POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.course import DICTIONARY, POLICY, RECORD, SAVES, START, Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import World
 
-UNDOS = 50
-"""How many of the latest corrections can be taken back."""
+UNDOS = 20
+"""How many of the latest corrections can be taken back: each keeps a state, of 16 MiB for an action dimension."""
 
 Say = Callable[[str], None]
 
@@ -268,15 +268,14 @@ class _Progress:
 def _settings(course: Course) -> dict[str, Any]:
     given = dict(course.settings)
     credit = {name: given.get(name) for name in ("credit", "credit_longest", "credit_shape")}
-    most = min(find("task", course.env).max_capacity, LARGEST_DICTIONARY)
     seconds = find("task", course.env).seconds
-    return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS, "max_capacity": most}
+    return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
 
 
 def _beginning(course: Course, start: Path | None) -> tuple[Any, Any]:
     """The learner and the state that it begins with; None for an untaught one."""
     if start is None:
-        return learner_of(course.cell(1), FIRST_DICTIONARY), None
+        return learner_of(course.cell(1), DICTIONARY), None
     return load_learner(start)
 
 

@@ -55,26 +55,29 @@ class Teller:
         prior = float(session.learner.largest_sigma())
         self._prior = prior if prior > 0 else None
         self._lines: dict[str, float | None] | None = None
-        self._painted, self._room = 0.0, session.room
+        self._painted = 0.0
         size = session.learner.obs_size
         self._axes = self.task.view.axes if max(self.task.view.axes) < size else (0, min(1, size - 1))
         self._chart = (*self._axes, 0)
-        self._quick, self._slow, self._painter = (Errands(self._failed) for _ in range(3))
+        self._quick, self._painter = Errands(self._failed), Errands(self._failed)
         self._closed = False
 
     def begin(self) -> None:
-        """Tells everything, and has done what a lesson wants from its beginning on."""
+        """Compiles and measures what is told, before anybody waits for a step; then tells everything."""
+        self._draw_chart()
+        try:
+            self._measure_lines()
+        except (UserError, ValueError) as error:
+            self.problem(str(error))
         self.everything()
-        self._ask_ahead()
-        self._slow.ask("lines", self._measure_lines)
 
     def close(self) -> None:
         """Has written what there is; what nobody wants any more is left."""
         self._closed = True
         with contextlib.suppress(UserError, OSError):
             self.keep(0.0)
-        for errands in (self._slow, self._painter, self._quick):
-            errands.close(drop=errands is not self._quick)
+        self._painter.close(drop=True)
+        self._quick.close()
 
     # --- messages
 
@@ -239,15 +242,8 @@ class Teller:
         self._quick.ask("map", self._draw_chart, MAP_APART)
 
     def _changed(self) -> None:
-        if self._taught.session.room != self._room:
-            self._room = self._taught.session.room
-            self._ask_ahead()
         self.ask_chart()
         self.ask_sigma()
-
-    def _ask_ahead(self) -> None:
-        session = self._taught.session
-        self._slow.ask("ahead", lambda: session.warm_up(ahead=True))
 
     def _measure_sigma(self) -> None:
         self._sigma = self._taught.session.uncertainty().round(6).tolist()
@@ -264,11 +260,9 @@ class Teller:
         numbers: dict[str, float | None] = {"oracle": None}
         numbers["idle"] = _finite(evaluate(env, idle(env), starts).returns.mean())
         self._lines = numbers
-        self.say("lines", **numbers)
         if name is not None:
             expert = make_expert(self.task.name, name)
             numbers["oracle"] = _finite(evaluate(env, expert, starts).returns.mean())
-            self.say("lines", **numbers)
 
     def _paint(self, shown: Taught | Evaluation) -> None:
         """A picture of the task as it is now: made here, as its libraries want one thread, and packed elsewhere."""

@@ -228,7 +228,7 @@ def test_without_a_token_only_on_this_machine():
 
 def test_a_page_is_greeted_and_its_words_are_heard(alone):
     with alone.page() as page:
-        assert _told(page) == {"type": "hello", "version": server.gpcjax.__version__, "taken": False}
+        assert _told(page) == {"type": "hello", "version": room.gpcjax.__version__, "taken": False}
         alone.lesson.hears("joined")
         _says(page, type="pause", on=False)
         assert alone.lesson.hears("pause").values == {"on": False}
