@@ -31,7 +31,7 @@ class Held:
             folder, course, origin, Options(oracle="tests.teach.drifting:expert"), self._hear
         )
         self.lesson.start()
-        assert self.lesson.ready.wait(120)
+        assert self.lesson.ready.wait(300)
         assert self.lesson.failure is None
 
     def _hear(self, message):
@@ -46,7 +46,7 @@ class Held:
     def messages(self, kind):
         return [each for each in list(self.told) if isinstance(each, dict) and each["type"] == kind]
 
-    def wait(self, kind, true=lambda message: True, seconds=30):
+    def wait(self, kind, true=lambda message: True, seconds=90):
         """The first message of this type, among those told since the last `forget`, for which this is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -195,7 +195,7 @@ def test_saved_opened_and_begun_anew(held):
     assert held.lesson.folder == first
     held.forget()
     held.ask("open", name="good")
-    task = held.wait("task", seconds=60)
+    task = held.wait("task", seconds=120)
     assert task["corrections"] == 0 and task["points"][1] > 0
     second = held.lesson.folder
     assert second.name == "taught-2" and (second / "start").is_dir()
