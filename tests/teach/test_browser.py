@@ -103,7 +103,7 @@ def test_a_cart_pole_is_taught_to_stand(opened):
     page, server = opened("cartpole")
     page.keyboard.press("Space")
     page.evaluate(TEACHER, "cartpole")
-    stood = lambda: _shown(page, "step") >= 2490  # noqa: E731
+    stood = lambda: _shown(page, "step") >= 2400  # noqa: E731
     _until(stood, 400)
     _until(lambda: not stood(), 60)
     page.close()
