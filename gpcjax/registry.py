@@ -199,7 +199,7 @@ def choices(kind: Kind, known: Iterable[str]) -> str:
     """What may be given as a name of this kind, in words; `known` are those that can be listed."""
     more = {
         "task": ("gym:ID", "brax:NAME"),
-        "teacher": ("replay:FILE", "the folder of a taught policy"),
+        "teacher": ("replay:FILE", "a folder of gpcjax teach"),
     }.get(kind, ())
     *first, last = [*known, "module:NAME", *more]
     return f"{', '.join(first)} or {last}"

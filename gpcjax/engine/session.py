@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -42,7 +41,6 @@ from gpcjax.engine.single import (
 )
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Info, Learner, State
-from gpcjax.learners.descriptions import CAPACITY
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
@@ -55,9 +53,7 @@ _NUMBERS = {
     "time_step": (float, POSITIVE),
     "seed": (int, Numbers(0, 2**63 - 1, whole=True)),
     "undos": (int, Numbers(0, 1_000, whole=True)),
-    "max_capacity": (int, CAPACITY),
 }
-_MAY_BE_ABSENT = ("credit", "credit_longest", "credit_shape", "max_capacity")
 
 
 class Session:
@@ -77,8 +73,6 @@ class Session:
         time_step: seconds of a step, for these.
         seed: of what the learner draws.
         undos: how many of the latest corrections can be undone.
-        max_capacity: points for which a dictionary is given room at most; what it does when it is full then is the
-            learner's `on_full`. Without it, one with `on_full="error"` grows for ever, and others never.
         record: a file to which every event is appended at once; `Session.replay` makes the session of it again, to the
             bit. It must not exist.
 
@@ -97,16 +91,15 @@ class Session:
         time_step: Any = 1.0,
         seed: Any = 0,
         undos: Any = 20,
-        max_capacity: Any = None,
         record: Any = None,
     ):
         if not isinstance(learner, Learner):
             raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
         self.learner: Learner = learner
         late = {"credit": credit, "credit_longest": credit_longest, "credit_shape": credit_shape}
-        given = {**late, "time_step": time_step, "seed": seed, "undos": undos, "max_capacity": max_capacity}
+        given = {**late, "time_step": time_step, "seed": seed, "undos": undos}
         self._settings: dict[str, Any] = {
-            name: None if name in _MAY_BE_ABSENT and value is None else checked(name, value, *_NUMBERS[name])
+            name: None if name in late and value is None else checked(name, value, *_NUMBERS[name])
             for name, value in given.items()
         }
         self._lock = threading.RLock()
@@ -290,7 +283,7 @@ class Session:
         with self._lock:
             block = self._block
         if ahead:
-            larger = grown(block) if self._may_grow(block) else None
+            larger = grown(block) if self.learner.wants_room else None
             if larger is None:
                 return
             block = larger
@@ -303,11 +296,6 @@ class Session:
         for look in (uncertain, points_of, measured):
             look(block)
         acts(block.controller, np.zeros(self.learner.obs_size))
-
-    @property
-    def room(self) -> tuple[tuple[int, ...], ...]:
-        """The shapes of the state's arrays: others than before tell that there is more room in it."""
-        return tuple(leaf.shape[1:] for leaf in jax.tree.leaves(self._block.state))
 
     @property
     def points(self) -> tuple[int, int]:
@@ -398,9 +386,7 @@ class Session:
         """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
-            if not settings.keys() <= _NUMBERS.keys() or not _NUMBERS.keys() - settings.keys() <= {
-                "max_capacity"
-            }:
+            if settings.keys() != _NUMBERS.keys():
                 raise UserError("its settings are those of another version")
             session = cls(learner, state, **settings)
             session._move(place)
@@ -446,19 +432,11 @@ class Session:
         return 1 if self._block.credit is None else self._block.credit.moments
 
     def _make_room(self) -> None:
-        while self._may_grow(self._block) and not has_room(self._block, self._corrections_at_once):
+        while self.learner.wants_room and not has_room(self._block, self._corrections_at_once):
             larger = grown(self._block)
             if larger is None:
                 return
             self._block = larger
-
-    def _may_grow(self, block: Lane) -> bool:
-        most = self._settings["max_capacity"]
-        if most is None:
-            return self.learner.wants_room
-        return (
-            max((max(leaf.shape[1:], default=0) for leaf in jax.tree.leaves(block.state)), default=0) < most
-        )
 
     def _numbers(self, name: str, value: Vector, size: int) -> np.ndarray:
         numbers = np.asarray(vector(name, value, size, "this learner"))
@@ -492,10 +470,6 @@ class Session:
 
 
 Told = Callable[[Session, Mapping[str, Any], Any], None]
-
-
-def _shapes(state: State) -> list[tuple[int, ...]]:
-    return [leaf.shape for leaf in jax.tree.leaves(state)]
 
 
 set_public_methods_under_own_settings(Session)

@@ -14,7 +14,9 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD
 from gpcjax.registry import find
@@ -43,7 +45,7 @@ class Course:
     env: str
     algo: str
     settings: tuple[tuple[str, float], ...] = ()
-    """By name, those that were given: of the learner, and `credit`, `credit_longest`, `credit_shape`."""
+    """By name, those that were given: of the learner, and of credit (`gpcjax.lateness.CREDIT`)."""
     seed: int = 0
     """Of the starts, which are those of a sweep with this seed, and of what the learner draws."""
 
@@ -65,13 +67,15 @@ class Course:
 
     def spec(self, episodes: int) -> SweepSpec:
         """The sweep whose rows those of this course are."""
-        settings = {
+        settings: dict[str, Any] = {
             "env": self.env,
             "algo": (self.algo,),
             "teacher": "person",
             "seeds": 1,
             "episodes": episodes,
         }
+        if find("learner", self.algo).dictionary:
+            settings |= {"on_full": "replace-nearest", "max_capacity": DICTIONARY}
         numbers = {name: (value,) for name, value in self.settings}
         given = {name: Given(value, name) for name, value in (settings | numbers).items()}
         known: dict[str, Given | Unchecked] = {
@@ -124,6 +128,11 @@ class Course:
                 course.spec(1)  # refuses what does not fit
                 return course
         raise UserError(f"{path}: it is damaged, or of another version")
+
+
+def seconds_of(task: TaskSpec) -> float:
+    """Of a step as a person sees it: a task without a unit of time has 30 steps a second."""
+    return 1 / 30 if task.time_step is None else task.time_step
 
 
 def usual_learner(env: str) -> str:

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpcjax.errors import Failure, UserError
+from gpcjax.lateness import CREDIT
 from gpcjax.registry import find
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import accept, option_of
 from gpcjax.sweep.spec import Given
-from gpcjax.teach.course import COURSE, SAVES, Course, new_folder
+from gpcjax.teach.course import COURSE, SAVES, Course, new_folder, seconds_of
 from gpcjax.teach.protocol import Command, Press
 
 if TYPE_CHECKING:
@@ -30,13 +31,8 @@ if TYPE_CHECKING:
 Say = Callable[[dict[str, Any] | bytes], None]
 """Takes a message for the page, from any thread."""
 
-USUAL_STEP = 1 / 30
-"""Seconds of a step, on a task that has no unit of time."""
-
 LATEST = 0.25
 """Seconds that the clock may be behind; what is beyond is let go, as after a laptop slept."""
-
-_CREDIT = ("credit", "credit_longest", "credit_shape")
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,7 @@ class Lesson:
         self._standing.mode, self._standing.paused, self._standing.why = "teach", True, "start"
         self._evaluation, self._first_of_episode = None, 0
         self._teller = Teller(self._taught, self._standing, self._options, self._say)
-        self._seconds = self._teller.task.time_step or USUAL_STEP
+        self._seconds = seconds_of(self._teller.task)
         self._tell_preparing("measuring the expert, and doing nothing")
         self._teller.begin()
         self.ready.set()
@@ -368,7 +364,7 @@ def _course_with(course: Course, name: str, settings: dict[str, float]) -> Cours
             raise UserError(f"{each} is no setting of {name}")
         number = int(value) if known[each].kind is int and float(value).is_integer() else value
         given[each] = Given(accept(option_of(known[each]), number, each), each)
-    given |= {each: Given((value,), each) for each, value in course.settings if each in _CREDIT}
+    given |= {each: Given((value,), each) for each, value in course.settings if each in CREDIT}
     return Course.of(given, course.seed)
 
 

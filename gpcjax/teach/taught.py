@@ -11,6 +11,7 @@ import numpy as np
 from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
+from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info
 from gpcjax.learners.saved import load_learner, save_policy
 from gpcjax.policies.base import Policy
@@ -131,7 +132,9 @@ class Taught:
     def end(self, why: str) -> Episode:
         """Ends the episode and begins the next one."""
         present = self.present
-        self._heard("note", None, values=self._note(ended=why, total=present.total, length=present.length))
+        values = {"ended": why, "total": present.total, "length": present.length}
+        self.session.note(**values)
+        self.tally.hear(self.session, {"event": "note", "values": values}, None)
         self.session.end_episode()
         self._propose(self._world.begin(self.episode))
         return present
@@ -147,7 +150,7 @@ class Taught:
         advice[press.dim] = press.h
         about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
         before = self.session.act(about)[press.dim]
-        self._note(press=list(press))
+        self.session.note(press=list(press))
         info = self.session.advise(advice)
         self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, info)
         after = self.session.act(about)[press.dim]
@@ -173,16 +176,23 @@ class Taught:
         _replaced(self.folder / SAVES / name, session.save)
 
     def keep(self) -> Callable[[], None]:
-        """What writes the policy and the rows as they are now, whenever it is called, in whatever thread."""
-        session, learner, state = self.session, self.session.learner, self.session.state
-        tally = self.tally
+        """What writes the rows as they are now and the policy, whenever it is called, in whatever thread.
+
+        The policy is that of then: to take its state out of a session is a copy of megabytes, for which no step waits.
+        """
+        session, tally = self.session, self.tally
         measured = tally.measurements(), tally.own(), tally.log()
-        corrections = session.corrections
 
         def write() -> None:
             _replaced(
                 self.folder / POLICY,
-                lambda path: save_policy(path, learner, state, env=self.course.env, corrections=corrections),
+                lambda path: save_policy(
+                    path,
+                    session.learner,
+                    session.state,
+                    env=self.course.env,
+                    corrections=session.corrections,
+                ),
             )
             write_rows(self.folder, self.course, *measured)
 
@@ -191,13 +201,6 @@ class Taught:
     def _propose(self, obs: np.ndarray) -> None:
         self.session.propose(obs)
         self.tally.hear(self.session, {"event": "propose"}, None)
-
-    def _heard(self, event: str, outcome: Any, **more: Any) -> None:
-        self.tally.hear(self.session, {"event": event, **more}, outcome)
-
-    def _note(self, **values: Any) -> dict[str, Any]:
-        self.session.note(**values)
-        return values
 
     def _follow(self, session: Session, recorded: list[float]) -> None:
         """Moves the task to the step that a recording tells of."""
@@ -267,7 +270,7 @@ class _Progress:
 
 def _settings(course: Course) -> dict[str, Any]:
     given = dict(course.settings)
-    credit = {name: given.get(name) for name in ("credit", "credit_longest", "credit_shape")}
+    credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
     return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
 

@@ -1,7 +1,6 @@
 """What the page is told of a lesson, and what can wait: the map, sigma_h, the lines, pictures, rows."""
 
 import contextlib
-import math
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,7 @@ from gpcjax.teach.telling import (
     described_learner,
     described_task,
     episode_of,
+    finite,
     packed,
 )
 
@@ -258,11 +258,11 @@ class Teller:
         starts = STARTS_ON_HOST if self.task.on_host else STARTS
         name = self._options.oracle or next(iter(self.task.experts), None)
         numbers: dict[str, float | None] = {"oracle": None}
-        numbers["idle"] = _finite(evaluate(env, idle(env), starts).returns.mean())
+        numbers["idle"] = finite(evaluate(env, idle(env), starts).returns.mean())
         self._lines = numbers
         if name is not None:
             expert = make_expert(self.task.name, name)
-            numbers["oracle"] = _finite(evaluate(env, expert, starts).returns.mean())
+            numbers["oracle"] = finite(evaluate(env, expert, starts).returns.mean())
 
     def _paint(self, shown: Taught | Evaluation) -> None:
         """A picture of the task as it is now: made here, as its libraries want one thread, and packed elsewhere."""
@@ -272,8 +272,3 @@ class Teller:
 
     def _failed(self, error: Exception) -> None:
         self.problem(str(error) or type(error).__name__)
-
-
-def _finite(value: Any) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None

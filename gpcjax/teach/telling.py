@@ -14,11 +14,12 @@ from gpcjax.describe import LearnerSpec, Setting, TaskSpec
 from gpcjax.envs.registry import make_env
 from gpcjax.learners.base import Learner, Status
 from gpcjax.registry import find
+from gpcjax.teach.course import seconds_of
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import makes_pictures
 
-__all__ = ["advised_of", "bounds", "described_learner", "described_task", "episode_of", "packed"]
+__all__ = ["advised_of", "bounds", "described_learner", "described_task", "episode_of", "finite", "packed"]
 
 _KEYS = (("left", "right"), ("down", "up"))
 """Of less and more, for the first and the second dimension of an action of which nothing else is known."""
@@ -45,7 +46,7 @@ def described_task(
         "name": task.name,
         "label": task.title,
         "unit": task.unit,
-        "step": task.time_step or 1 / 30,
+        "step": seconds_of(task),
         "max_steps": getattr(env, "max_steps", None) or 1000,
         "scene": scene,
         "hint": view.hint,
@@ -146,7 +147,7 @@ def advised_of(press: Press, done: Any) -> dict[str, Any]:
         "before": done.before,
         "after": done.after,
         "status": status.label,
-        **{name: _finite(np.asarray(value)[dim]) for name, value in numbers.items()},
+        **{name: finite(np.asarray(value)[dim]) for name, value in numbers.items()},
     }
 
 
@@ -162,6 +163,7 @@ def packed(number: int, image: UInt8[np.ndarray, "height width 3"]) -> bytes:
     return struct.pack("<I", number) + buffer.getvalue()
 
 
-def _finite(value: Any) -> float | None:
+def finite(value: Any) -> float | None:
+    """A number as JSON knows it: None for one that is not finite."""
     number = float(value)
     return number if math.isfinite(number) else None

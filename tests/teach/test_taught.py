@@ -12,6 +12,7 @@ from gpcjax.recording import RECORD, Recording
 from gpcjax.registry import find
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import Given, spec_of
+from gpcjax.teach import taught as taught_module
 from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Evaluation, Taught
@@ -121,6 +122,20 @@ def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
     assert taught.tally.corrections == taught.session.corrections == 0
     assert taught.tally.finished[0].corrections == 0 and taught.tally.places() == []
     np.testing.assert_array_equal(taught.session.act(obs), before)
+
+
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+def test_a_full_dictionary_goes_on_learning_in_the_same_room(tmp_path, monkeypatch, algo):
+    monkeypatch.setattr(taught_module, "DICTIONARY", 8)
+    taught = Taught.begin(tmp_path, course(algo=(algo,)))
+    assert taught.course.spec(1).on_full == "replace-nearest"
+    shapes = [leaf.shape for leaf in _leaves(taught)]
+    for number in range(24):
+        taught.step()
+        done = taught.advise(press(number, 1 if number % 2 else -1), 0)
+        assert int(done.info.status) == 0 and float(done.info.rate[0]) > 0
+    assert taught.tally.corrections == 24 and taught.session.points[1] == 8
+    assert [leaf.shape for leaf in _leaves(taught)] == shapes
 
 
 def test_saved_and_opened(lesson, tmp_path):
