@@ -86,9 +86,7 @@ def whole_parts(
         UserError: a file cannot be read, whatever it holds.
     """
     names = names_in(out / EPISODES)
-    replacing = {
-        name: replaced for name in names if parse_part(name) and (replaced := replaced_by(out, name))
-    }
+    replacing = {name: others for name in names if parse_part(name) and (others := replaced_by(out, name))}
     replaced: set[str] = set()
     for name in [*replacing, *(name for name in names if name not in replacing)]:
         path = out / EPISODES / name

@@ -135,7 +135,7 @@ class Store:
 
     def _put_together(self, names: Sequence[str]) -> None:
         """Writes the rows of some parts as one, then removes them. Leaves them where one is damaged by now."""
-        wanted = dict.fromkeys((EPISODES, *BESIDE))
+        wanted: dict[str, Sequence[str] | None] = dict.fromkeys((EPISODES, *BESIDE))
         try:
             parts = [part_of(self._out, name, self._manifest, wanted) for name in names]
         except Damage:
