@@ -219,13 +219,13 @@ def accept(option: Option, value: Any, source: str) -> Any:
 
 def _from_word(option: Option, word: str, source: str) -> Any:
     """A word as `option.kind` has it; not a number is refused here, a number that is not allowed later."""
-    if option.kind in (str, Seeds):
+    if option.kind is str or (option.kind is Seeds and not _INTEGER.fullmatch(word.strip())):
         return word
     try:
-        number = option.kind(word) if option.kind is int else Written(word.strip())
+        number = Written(word.strip()) if option.kind is float else int(word)
     except ValueError:
         _refuse(option, word, source)
-    grammar = _INTEGER if option.kind is int else _DECIMAL
+    grammar = _DECIMAL if option.kind is float else _INTEGER
     if grammar.fullmatch(word.strip()) or (option.kind is float and not math.isfinite(number)):
         return number
     _refuse(option, word, source)

@@ -229,7 +229,7 @@ class _Sweep:
         self._manifest["env_steps_per_s"] = self._manifest["env_steps"] / max(
             self._manifest["wall_time_s"], 1e-9
         )
-        self._manifest["complete"] = complete
+        self._manifest |= {"complete": complete, "finished": self._store.cells}
         write_manifest(self._out, self._manifest)
 
 
