@@ -12,16 +12,23 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
+from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import WINDOW, Lane, Phase
 from gpcjax.engine.stepping import all_finite
 from gpcjax.envs.base import State as EnvState
 from gpcjax.learners.base import Status
 
 
-def end_episodes(block: Lane, episodes: int, start: Callable[[Lane, Int[Array, " lanes"]], EnvState]) -> Lane:
+def end_episodes(
+    block: Lane,
+    episodes: int,
+    start: Callable[[Lane, Int[Array, " lanes"]], EnvState],
+    keep: Keep | None = None,
+) -> Lane:
     """Writes the rows of the episodes that ended, and starts the next ones; a lane with a status ends its run.
 
-    `start` gives the states in which lanes begin the episodes of these indices.
+    `start` gives the states in which lanes begin the episodes of these indices. A lane whose episode is one to `keep`
+    waits at the start of the next one (`Phase.PAUSED`).
     """
     running = block.phase == Phase.RUNNING
     over, stopped = block.env.done & running, (block.status != Status.OK) & running
@@ -29,7 +36,7 @@ def end_episodes(block: Lane, episodes: int, start: Callable[[Lane, Int[Array, "
     names = ("env", "tally", "rows", "episode", "phase", "status", "window_start")
     values = lax.cond(
         (over | stopped).any(),
-        lambda: _end(block, over, stopped, episodes, start),
+        lambda: _end(block, over, stopped, episodes, start, keep),
         lambda: tuple(getattr(block, name) for name in names),
     )
     return dataclasses.replace(block, **dict(zip(names, values, strict=True)))
@@ -41,6 +48,7 @@ def _end(
     stopped: Bool[Array, " lanes"],
     episodes: int,
     start: Callable[[Lane, Int[Array, " lanes"]], EnvState],
+    keep: Keep | None,
 ) -> tuple:
     ended = over | stopped
     finite = all_finite(block.env.obs, block.tally.returns[None])
@@ -72,6 +80,9 @@ def _end(
     begins = over & ~finished
     env = jax.tree.map(lambda new, old: jnp.where(begins, new, old), start(block, episode), block.env)
     phase = jnp.where(finished, jnp.int32(Phase.FINISHED), block.phase)
+    if keep is not None:
+        due = keep.due(block.tally.returns, block.rows.returns, block.episode)
+        phase = jnp.where(begins & due, jnp.int32(Phase.PAUSED), phase)
     # A window of the last episode is void: the next round draws another.
     window_start = jnp.where(begins, -WINDOW, block.window_start)
     return (

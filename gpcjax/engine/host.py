@@ -19,7 +19,9 @@ from gpcjax.engine.asking import Expert, ask, block_coins, may_advise
 from gpcjax.engine.correcting import correct, idle_is_due
 from gpcjax.engine.episodes import end_episodes
 from gpcjax.engine.history import Credit
+from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Lane, Phase, Start, fresh
+from gpcjax.engine.snapshots import NotResumed
 from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, watch
 from gpcjax.envs.base import State, begin
 from gpcjax.envs.host import HostEnv
@@ -55,12 +57,43 @@ class News:
 
 
 class Run:
-    """The simulation of one lane, which is one episode ahead of it where an episode has just ended."""
+    """The simulation of one lane, which is one episode ahead of it where an episode has just ended.
 
-    def __init__(self, env: HostEnv, seed: int, episodes: int):
-        self._simulation, self._episode = env.simulate(), 0
+    Once the lane has taken in what the last step brought, as it has whenever the host looks, both are in the same one.
+    """
+
+    def __init__(self, env: HostEnv, seed: int, episodes: int, episode: int = 0):
+        self._simulation, self._episode = env.simulate(), episode
         self._seeds = streams.reset_seeds(seed, episodes)
-        self.obs = self._simulation.reset(self._seeds[0])
+        self._executed = bytearray()
+        """The actions of this episode so far: from them and its seed a simulation can be rebuilt."""
+        self.obs = self._simulation.reset(self._seeds[episode])
+
+    def executed(self, action_size: int) -> Float[np.ndarray, "steps action"]:
+        """The actions of this episode so far, between the bounds of the task."""
+        return np.frombuffer(bytes(self._executed)).reshape(-1, action_size)
+
+    def replay(self, executed: Float[np.ndarray, "steps action"], lane: Lane) -> None:
+        """Executes these actions in an episode that has just begun, up to where the lane is.
+
+        Raises:
+            NotResumed: what comes of it is not what the lane has seen: the episode ends before, or the last observation
+                or the sum of the rewards are others.
+        """
+        obs, returns, over = self.obs, 0.0, False
+        for action in executed:
+            if over:
+                break
+            obs, reward, terminated, truncated = self._simulation.step(action)
+            self._executed += action.tobytes()
+            returns, over = returns + reward, terminated or truncated
+        same = not over and len(executed) == lane.env.time
+        seen = np.append(obs, returns), np.append(lane.env.obs, lane.tally.returns)
+        if not (same and np.array_equal(*seen, equal_nan=True)):
+            raise NotResumed(
+                f"episode {self._episode + 1}, step {int(lane.env.time)}: the simulation does not come to the same "
+                "observation when its actions are executed once more"
+            )
 
     def step(self, place: int, action: Float[np.ndarray, " action"], news: News) -> None:
         """One step with an action between the bounds of the task, written into the news of the lane at `place`.
@@ -68,10 +101,12 @@ class Run:
         If the episode is over, a new one begins.
         """
         outcome = self._simulation.step(action)
+        self._executed += action.tobytes()
         news.obs[:, place], news.reward[place] = outcome.obs, outcome.reward
         news.terminated[place], news.truncated[place] = outcome.terminated, outcome.truncated
         if outcome.terminated or outcome.truncated:
             self._episode += 1
+            self._executed.clear()
             if self._episode < len(self._seeds):
                 news.start[:, place] = self._simulation.reset(self._seeds[self._episode])
 
@@ -83,11 +118,22 @@ class HostLoop(eqx.Module):
     expert: Expert
     episodes: int = eqx.field(static=True)
     grows: bool = eqx.field(static=True, default=True)
+    keep: Keep | None = eqx.field(static=True, default=None)
 
     def enter(self, start: Start) -> tuple[Run, tuple[Any, ...]]:
         """The simulation of a run that begins, and what `begin` takes."""
         run = Run(self.env, start.seed, self.episodes)
         return run, (start.learner, start.teacher, np.int64(start.seed), start.credit, run.obs)
+
+    def executed(self, simulation: Run) -> Float[np.ndarray, "steps action"]:
+        """What rebuilds a simulation between two chunks, beside its lane: the actions of its present episode."""
+        return simulation.executed(self.env.action_size)
+
+    def rebuild(self, lane: Lane, executed: Float[np.ndarray, "steps action"]) -> Run:
+        """The simulation of a lane on the host, by replay. Raises `NotResumed`."""
+        run = Run(self.env, int(lane.seed), self.episodes, int(lane.episode))
+        run.replay(executed, lane)
+        return run
 
     def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None, obs: Any) -> Lane:
         """A lane at its first episode."""
@@ -119,7 +165,10 @@ class HostLoop(eqx.Module):
         told = News(news, self.env.obs_size)
         block = self._take_in(block, told)
         block = end_episodes(
-            block, self.episodes, lambda block, _: jax.vmap(_begin, in_axes=-1, out_axes=-1)(told.start)
+            block,
+            self.episodes,
+            lambda block, _: jax.vmap(_begin, in_axes=-1, out_axes=-1)(told.start),
+            self.keep,
         )
         running = (block.phase == Phase.RUNNING) & ~last
         proposed, finite = propose(block.controller, block.env.obs, block.tally.returns)

@@ -36,6 +36,8 @@ class Phase(enum.IntEnum):
     """All episodes are done, or the learner stopped with a status."""
     EMPTY = 3
     """No cell."""
+    PAUSED = 4
+    """An episode has ended, the next one is about to begin, and the host copies what was learned (`Keep`)."""
 
 
 class EpisodeRows(eqx.Module):

@@ -25,6 +25,7 @@ from gpcjax.engine.asking import Expert, ask
 from gpcjax.engine.correcting import correct, idle_is_due
 from gpcjax.engine.episodes import end_episodes
 from gpcjax.engine.history import Credit
+from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import WINDOW, Lane, Phase, Start, Tally, coin_window, fresh
 from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, seen, watch
 from gpcjax.envs.base import Env, started, stepped
@@ -41,6 +42,7 @@ class Loop(eqx.Module):
         episodes: of every lane. Static.
         grows: lanes without room leave the block. Static.
         stride: steps between two looks at the waiting lanes, less than `WINDOW`. Static.
+        keep: after which episodes lanes wait for the host; None is never. Static.
     """
 
     env: Env
@@ -48,10 +50,17 @@ class Loop(eqx.Module):
     episodes: int = eqx.field(static=True)
     grows: bool = eqx.field(static=True, default=True)
     stride: int = eqx.field(static=True, default=8)
+    keep: Keep | None = eqx.field(static=True, default=None)
 
     def enter(self, start: Start) -> tuple[None, tuple[Any, ...]]:
         """Nothing on the host, and what `begin` takes."""
         return None, (start.learner, start.teacher, np.int64(start.seed), start.credit)
+
+    def executed(self, simulation: None) -> None:
+        """Nothing: a lane of a compiled task is all there is of it."""
+
+    def rebuild(self, lane: Lane, executed: None) -> None:
+        """Nothing is on the host."""
 
     def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None = None) -> Lane:
         """A lane at its first episode."""
@@ -84,7 +93,7 @@ class Loop(eqx.Module):
         block, advice = ask(block, self.expert, self.grows)
         block = correct(block, advice)
         block = self._execute(block)
-        return end_episodes(block, self.episodes, self._begin)
+        return end_episodes(block, self.episodes, self._begin, self.keep)
 
     def _draw_coins(self, block: Lane) -> Lane:
         """Moves every window to its lane's present step, if any lane may otherwise run past its own."""

@@ -23,7 +23,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.errors import UserError
 from gpcjax.gp.kernels import SMOOTHNESSES, SQUARED_EXPONENTIAL
 from gpcjax.policies.base import Controller, Policy
-from gpcjax.policies.folder import CARD, Shapes, read_arrays, read_card, write_folder
+from gpcjax.policies.folder import CARD, FORMAT, FORMATS, Shapes, read_arrays, read_card, write_folder
 from gpcjax.policies.grid import Grid, GridController
 from gpcjax.policies.kernel import KernelController
 from gpcjax.policies.network import NetworkController, SquashedNetwork
@@ -66,6 +66,20 @@ def save_controller(path: Any, controller: Controller, provenance: Mapping[str, 
         ValueError: the controller is not finite, it has lanes, or provenance has no form in JSON.
         TypeError: there is no format for such a controller, or JSON knows no such value.
     """
+    card, arrays = pack_controller(controller)
+    write_folder(path, {**card, "provenance": dict(provenance)}, arrays)
+
+
+@under_own_settings
+def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What a folder keeps of a controller without lanes, for whoever keeps it elsewhere.
+
+    That is a card of JSON values, and named float64 arrays of at least one entry each.
+
+    Raises:
+        ValueError: the controller is not finite, or has lanes.
+        TypeError: there is no format for such a controller.
+    """
     name = next((name for name, kind in KINDS.items() if type(controller) is kind.type), None)
     if name is None:
         raise TypeError(f"no format for a {type(controller).__name__}")
@@ -76,7 +90,7 @@ def save_controller(path: Any, controller: Controller, provenance: Mapping[str, 
         _check(KINDS[name], card, {key: value.shape for key, value in arrays.items()}, arrays)
     except Unfit as error:
         raise UserError(f"this policy cannot be saved: {error}") from None
-    write_folder(path, {**card, "provenance": dict(provenance)}, arrays)
+    return {"format": FORMAT, **card}, arrays
 
 
 @under_own_settings
@@ -90,13 +104,24 @@ def load_policy(path: Any) -> Policy:
             file.
     """
     card = load_card(path)
-    arrays = read_arrays(path, card, "policy")
     try:
-        kind, shapes = KINDS[card["kind"]], {name: value.shape for name, value in arrays.items()}
-        _check(kind, card, shapes, arrays)
-        return Policy(kind.read(card, arrays))
+        return unpack_policy(card, read_arrays(path, card, "policy"))
     except Unfit as error:
         raise UserError(f"{Path(path)}: this policy is damaged ({error})") from None
+
+
+@under_own_settings
+def unpack_policy(card: Settings, arrays: Arrays) -> Policy:
+    """The policy that was packed (`pack_controller`).
+
+    Raises:
+        Unfit: card and arrays make none.
+    """
+    kind = card.get("kind")
+    if card.get("format") not in FORMATS or not isinstance(kind, str) or kind not in KINDS:
+        raise Unfit(f"format {FORMAT} and as kind {' or '.join(KINDS)} are needed")
+    _check(KINDS[kind], card, {name: value.shape for name, value in arrays.items()}, arrays)
+    return Policy(KINDS[kind].read(card, arrays))
 
 
 def load_card(path: Any) -> dict[str, Any]:

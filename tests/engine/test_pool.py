@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from gpcjax.engine import block as block_module
 from gpcjax.engine import pool as pool_module
 from gpcjax.engine.lanes import Phase
 from gpcjax.envs.base import Env
@@ -91,8 +92,8 @@ class Bits:
 
     @pytest.mark.parametrize("seconds", [1e-9, 1e9], ids=["short", "long"])
     def test_chunks_of_other_lengths(self, pool, together, monkeypatch, seconds):
-        for loop in tuple(pool_module.CHUNK_SECONDS):
-            monkeypatch.setitem(pool_module.CHUNK_SECONDS, loop, seconds)
+        for loop in tuple(block_module.CHUNK_SECONDS):
+            monkeypatch.setitem(block_module.CHUNK_SECONDS, loop, seconds)
         before = pool.counters.chunks
         again = run(pool, starts(self.algo))
         assert_the_same_runs(again, together)
@@ -180,7 +181,7 @@ class TestTiers:
     @pytest.mark.parametrize("lanes", [0, 4, 12])
     def test_a_width_that_vectors_do_not_fill_is_refused(self, lanes):
         with pytest.raises(ValueError, match=f"a block of {lanes} lanes: give a power of two, 8 or more"):
-            pool_module.Tier(8, 8, lanes)
+            block_module.Tier(8, 8, lanes)
 
     def test_those_below_do_not_depend_on_the_bound(self):
         """So that a larger bound changes the bits of no run that never needed it."""

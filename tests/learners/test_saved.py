@@ -1,5 +1,6 @@
 """A learner and its state on disk: teaching goes on to the bit as if nothing had been between."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.learners.packed import compact, pack_learner, pack_policy, unpack_learner
+from gpcjax.policies.saved import Unfit, unpack_policy
 from tests.trees import assert_same_bits
 
 COACH = {"lower": (-1, -1), "upper": (1, 1), "counts": (2, 3)}
@@ -33,6 +36,10 @@ def teach(learner, state, seed, corrections):
 
 
 def learner_of(algo):
+    if algo == "d-coach":
+        return make_learner(
+            algo, obs_size=2, action_size=2, width=4, buffer_size=8, batch_size=2, learning_rate=0.1
+        )
     options = COACH if algo == "coach" else {"capacity": 8, "static_rate": 0.1, "policy": {"nu": 2.5}}
     return make_learner(algo, obs_size=2, action_size=2, **options)
 
@@ -46,6 +53,45 @@ def test_what_is_saved_goes_on_to_the_bit(tmp_path, algo):
     loaded, again = gpcjax.load_learner(tmp_path / "saved")
     assert_same_bits((loaded, again), (learner, state))
     assert_same_bits(teach(loaded, again, 1, 4), teach(learner, state, 1, 4))
+
+
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach", "d-coach"])
+def test_what_is_packed_has_no_room_to_spare_and_goes_on_to_the_bit(algo):
+    """As of a run: on the host, with room for more, and more points of one model and action than of the other."""
+    learner = learner_of(algo)
+    state = learner.init()
+    for advice in ([1, 1], [1, 0], [-1, 0]):
+        state = teach(learner, state, 0, 1)
+        state, _ = learner.correct(state, np.ones(2), np.zeros(2), advice)
+    state = learner.resize(state, 40, 200)
+    on_host = jax.tree.map(np.asarray, (learner, state))
+    card, arrays = pack_learner(on_host[0], compact(*on_host))
+    if algo.startswith("gpc"):
+        most = state.policy.count.max(), state.human.count.max()
+        assert (card["capacities"]["policy"], card["capacities"]["human"]) == most
+        assert sum(array.nbytes for array in arrays.values()) < 20_000
+    loaded, again = unpack_learner(json.loads(json.dumps(card)), arrays)
+    assert_same_bits(loaded, learner)
+    assert_same_bits(loaded.resize(again, 40, 200), state)
+    assert_same_bits(teach(loaded, loaded.resize(again, 40, 200), 1, 4), teach(learner, state, 1, 4))
+    policy = unpack_policy(*pack_policy(*on_host))
+    for obs in np.random.default_rng(2).normal(size=(3, 2)):
+        np.testing.assert_allclose(policy(obs), learner.act(state, obs), rtol=0, atol=1e-14)
+
+
+def test_what_was_not_packed_is_refused():
+    learner = learner_of("gpc")
+    state = teach(learner, learner.init(), 0, 3)
+    card, arrays = pack_learner(learner, state)
+    for changed in ({"kind": "kernel"}, {"format": 3}, {"algo": "gpc-n"}):
+        with pytest.raises(UserError, match=r"^cell 7: this is not a learner's card"):
+            unpack_learner({**card, **changed}, arrays, "cell 7")
+    with pytest.raises(UserError, match=r"damaged \(learner.policy.noise is not what the card says\)"):
+        unpack_learner(card, {key: value for key, value in arrays.items() if key != "learner.policy.noise"})
+    card, arrays = pack_policy(learner, state)
+    for changed in ({"kind": "learner"}, {"format": 3}, {"obs_size": 3}):
+        with pytest.raises(Unfit):
+            unpack_policy({**card, **changed}, arrays)
 
 
 def test_in_a_fresh_process_too(tmp_path):

@@ -1,0 +1,264 @@
+"""The lanes of one width and capacity, and the programs that put them there, advance them and take them out."""
+
+import dataclasses
+import functools
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gpcjax.engine.host import HostLoop
+from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
+from gpcjax.engine.rollout import Loop
+
+CHUNK_SECONDS = {Loop: 0.02, HostLoop: 0.1}
+"""About how long a block runs between two looks of the host, which cost simulations on the host a tick of their own."""
+
+ENTER, ENTER_BYTES = 16, 1 << 22
+"""Lanes that are put into a block by one call, at most; fewer of large ones, as each call is filled up with copies."""
+
+MOST_ROUNDS = 4096
+"""Rounds between two looks at most: a chunk that ends early, for want of lanes, tells nothing of their length."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tier:
+    """One block: room for these points in each dictionary, and its width.
+
+    The width is a power of two, and a full vector at least. Then all lanes go through the same instructions; otherwise
+    some may be left to scalar ones, which round differently, and the bits of a run would depend on its place.
+    """
+
+    policy_capacity: int
+    human_capacity: int
+    lanes: int
+
+    def __post_init__(self) -> None:
+        if self.lanes < 8 or self.lanes & (self.lanes - 1):
+            raise ValueError(f"a block of {self.lanes} lanes: give a power of two, 8 or more")
+
+    @property
+    def capacities(self) -> tuple[int, int]:
+        """Points of each policy, and of each human model."""
+        return self.policy_capacity, self.human_capacity
+
+
+@dataclasses.dataclass(frozen=True)
+class Occupant:
+    """A run while it is in the pool."""
+
+    name: Any
+    simulation: Any
+    """What it needs on the host, if anything; it goes with the lane from block to block."""
+
+
+@dataclasses.dataclass
+class Counters:
+    """What a pool has done so far."""
+
+    env_steps: int = 0
+    episodes: int = 0
+    compile_seconds: float = 0.0
+    compilations: int = 0
+    chunks: int = 0
+    promotions: int = 0
+
+
+class Block:
+    """The lanes of one tier, and the programs that move them; what it does is counted in `counters`."""
+
+    def __init__(self, tier: Tier, loop: Loop | HostLoop, template: Start, counters: Counters):
+        self.tier = tier
+        self.runs: dict[int, Occupant] = {}
+        """The run in each occupied place."""
+        self.waiting: deque[tuple[Occupant, Lane]] = deque()
+        """Lanes of the smaller tier that need this one, and lanes of this tier that go on from a snapshot."""
+        self._counters, self._loop, self._template = counters, loop, template
+        self._leaves: list[Any] = []
+        self._structure: Any = None
+        self._programs: dict[str, Callable[..., tuple[Any, ...]]] = {}
+        self._rounds = 16
+
+    @property
+    def lanes(self) -> Lane:
+        """The block. Programs take and give its leaves: modules are put together when the host looks, not each time."""
+        return self._structure.unflatten(self._leaves)
+
+    @lanes.setter
+    def lanes(self, block: Lane) -> None:
+        self._leaves, self._structure = jax.tree.flatten(block)
+
+    @property
+    def free(self) -> int:
+        """Places without a run."""
+        return self.tier.lanes - len(self.runs)
+
+    @property
+    def work(self) -> int:
+        return len(self.runs) + len(self.waiting)
+
+    def begin(self, starts: Sequence[Start]) -> None:
+        """Puts new lanes into free places."""
+        entered = [self._loop.enter(start) for start in starts]
+        runs = [
+            Occupant(start.name, simulation) for start, (simulation, _) in zip(starts, entered, strict=True)
+        ]
+        entries = [entry for _, entry in entered]
+        self._enter("begin", lambda *entry: self._sized(self._loop.begin(*entry)), runs, entries)
+
+    def admit(self) -> None:
+        """Puts waiting lanes into free places."""
+        coming = [self.waiting.popleft() for _ in range(min(self.free, len(self.waiting)))]
+
+        def promoted(lane: Lane) -> Lane:
+            # It outgrew the smaller tier, and its correction is still to come.
+            return self._sized(dataclasses.replace(lane, phase=jnp.asarray(Phase.RUNNING, lane.phase.dtype)))
+
+        for program, make, grown in (("promote", promoted, True), ("resume", lambda lane: lane, False)):
+            chosen = [each for each in coming if (each[1].phase == Phase.NEEDS_ROOM) == grown]
+            if chosen:
+                self._enter(program, make, [run for run, _ in chosen], [(lane,) for _, lane in chosen])
+
+    def advance(self) -> None:
+        """Advances all lanes for a while; then those that `paused`, and those that are `leaving`, are to be taken."""
+        before = self._work_done()
+        began = time.perf_counter()
+        compiling = self._counters.compile_seconds
+        simulations = {place: run.simulation for place, run in self.runs.items()}
+        self._loop.drive(self._call, simulations, self.tier.lanes, self._rounds)
+        after = self._work_done()
+        self._counters.env_steps += after[0] - before[0]
+        self._counters.episodes += after[1] - before[1]
+        elapsed = time.perf_counter() - began - (self._counters.compile_seconds - compiling)
+        wanted = self._rounds * CHUNK_SECONDS[type(self._loop)] / max(elapsed, 1e-6)
+        self._rounds = int(np.clip(wanted, self._rounds / 2, 2 * self._rounds))
+        self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
+        self._counters.chunks += 1
+
+    def paused(self) -> list[tuple[Occupant, Lane]]:
+        """Copies of the lanes that wait to be kept, with their runs; they go on where they are."""
+        places = self._places(Phase.PAUSED)
+        self._set_phase(places, Phase.RUNNING)
+        return list(zip((self.runs[place] for place in places), self._take(places), strict=True))
+
+    def leaving(self) -> list[tuple[Occupant, Lane]]:
+        """Takes out the lanes that go no further here, with their runs."""
+        places = self._places(Phase.FINISHED, Phase.NEEDS_ROOM)
+        lanes = self._take(places)
+        self._set_phase(places, Phase.EMPTY)
+        return [(self.runs.pop(place), lane) for place, lane in zip(places, lanes, strict=True)]
+
+    def snapshots(self) -> list[tuple[Occupant, Lane, Any]]:
+        """Copies of all lanes here, with their runs and what rebuilds their simulations; first those in the block."""
+        lanes = zip(self.runs.values(), self._take(list(self.runs)), strict=True)
+        return [(run, lane, self._loop.executed(run.simulation)) for run, lane in (*lanes, *self.waiting)]
+
+    def resume(self, name: Any, lane: Lane, executed: Any) -> tuple[Occupant, Lane]:
+        """A lane of this tier, or of the smaller one if it needs room, and its run: what `waiting` takes.
+
+        Raises:
+            NotResumed: the simulation does not come to where it was.
+        """
+        return Occupant(name, self._loop.rebuild(lane, executed)), lane
+
+    @functools.cached_property
+    def shapes(self) -> Lane:
+        """The shape of one lane."""
+        _, entry = self._loop.enter(self._template)
+        return jax.eval_shape(lambda *entry: self._sized(self._loop.begin(*entry)), *entry)
+
+    def _places(self, *phases: Phase) -> list[int]:
+        """The occupied places whose lanes are in one of these phases."""
+        now = np.asarray(self.lanes.phase)
+        return [place for place in self.runs if now[place] in phases]
+
+    def _set_phase(self, places: Sequence[int], phase: Phase) -> None:
+        if places:
+            phases = np.array(self.lanes.phase)
+            phases[places] = phase
+            self.lanes = dataclasses.replace(self.lanes, phase=jnp.asarray(phases))
+
+    def _work_done(self) -> tuple[int, int]:
+        """Steps and episodes of the lanes in the block."""
+        block = self.lanes
+        occupied, episode = list(self.runs), np.asarray(block.episode)
+        unwritten = np.where(episode < self._loop.episodes, np.asarray(block.env.time), 0)
+        steps = np.asarray(block.rows.length).sum(0) + unwritten
+        return int(steps[occupied].sum()), int(episode[occupied].sum())
+
+    def _sized(self, lane: Lane) -> Lane:
+        """The lane with this tier's room."""
+        state = lane.learner.resize(lane.state, self.tier.policy_capacity, self.tier.human_capacity)
+        return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
+
+    def _enter(
+        self, program: str, make: Callable[..., Lane], runs: Sequence[Occupant], entries: Sequence[tuple]
+    ) -> None:
+        """Puts `make(*entry)`, of this tier's shapes, into a free place for each entry, several in one call."""
+        if self._structure is None:
+            self.lanes = self._empty()
+
+        def enter(block: Lane, places: Any, count: Any, entries: tuple) -> tuple[Lane]:
+            def one(i: Any, block: Lane) -> Lane:
+                entry = jax.tree.map(lambda leaf: leaf[i], entries)
+                return _insert(block, places[i], make(*entry))
+
+            return (jax.lax.fori_loop(0, count, one, block),)
+
+        size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(entries[:1]))
+        at_once = min(ENTER, self.tier.lanes, max(1, ENTER_BYTES // max(size, 1)))
+        free = [place for place in range(self.tier.lanes) if place not in self.runs]
+        for first in range(0, len(entries), at_once):
+            batch = entries[first : first + at_once]
+            places = np.resize(np.array(free[first : first + len(batch)], np.int32), at_once)
+            padded = [*batch, *[batch[-1]] * (at_once - len(batch))]
+            stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+            self._call(program, enter, places, np.int32(len(batch)), stacked)
+        self.runs.update(zip(free, runs, strict=False))
+
+    def _call(self, program: str, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple:
+        """Runs a program on the block, which it replaces; gives what else it returns. Compiles it first."""
+        if program not in self._programs:
+            structure = self._structure
+
+            def flat(leaves: list[Any], *arguments: Any) -> tuple[list[Any], tuple[Any, ...]]:
+                block, *others = function(structure.unflatten(leaves), *arguments)
+                return jax.tree.leaves(block), tuple(others)
+
+            began = time.perf_counter()
+            self._programs[program] = (
+                jax.jit(flat, donate_argnums=0).lower(self._leaves, *arguments).compile()
+            )
+            self._counters.compile_seconds += time.perf_counter() - began
+            self._counters.compilations += 1
+        self._leaves, others = self._programs[program](self._leaves, *arguments)
+        return others
+
+    def _empty(self) -> Lane:
+        """A block without runs: every place holds a copy of one idle lane."""
+
+        def zeros(leaf: jax.ShapeDtypeStruct, axis: int) -> jax.Array:
+            shape = (self.tier.lanes, *leaf.shape) if axis == 0 else (*leaf.shape, self.tier.lanes)
+            return jnp.zeros(shape, leaf.dtype)
+
+        block = map_lanes(zeros, self.shapes)
+        return dataclasses.replace(block, phase=jnp.full(self.tier.lanes, Phase.EMPTY, jnp.int32))
+
+    def _take(self, places: Sequence[int]) -> list[Lane]:
+        """Copies of lanes, on the host."""
+        if not places:
+            return []
+        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self.lanes)
+        leaves, structure = jax.tree.flatten(taken)
+        return [structure.unflatten([leaf[i] for leaf in leaves]) for i in range(len(places))]
+
+
+def _insert(block: Lane, place: Any, lane: Lane) -> Lane:
+    def put(leaf: jax.Array, value: jax.Array, axis: int) -> jax.Array:
+        return jax.lax.dynamic_update_index_in_dim(leaf, value, place, axis if axis == 0 else leaf.ndim - 1)
+
+    return map_lanes(put, block, lane)

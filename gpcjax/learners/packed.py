@@ -1,0 +1,254 @@
+"""What a learner has learned as named arrays and a card of JSON values: its policy alone, or all of it.
+
+The card names the algorithm, the sizes and the other settings that are no arrays; from them the shape of everything
+follows, and the arrays must have it. `gpcjax.learners.saved` keeps both in folders, others keep them elsewhere.
+"""
+
+import functools
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
+from gpcjax.errors import UserError
+from gpcjax.gp.posterior import Posterior
+from gpcjax.gp.process import GaussianProcess
+from gpcjax.learners.base import Learner, State
+from gpcjax.learners.coach import COACH
+from gpcjax.learners.dcoach import DCoach
+from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
+from gpcjax.learners.factory import ALLOWED, make_learner
+from gpcjax.learners.gpc import GPC, GPCState
+from gpcjax.policies.folder import FORMAT, first_line
+from gpcjax.policies.saved import pack_controller
+
+_SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
+"""The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
+
+
+@under_own_settings
+def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What a folder keeps of a learner and its state, for whoever keeps it elsewhere.
+
+    That is a card of JSON values, and named arrays of at least one entry each, with all their room (see `compact`).
+
+    Raises:
+        ValueError: a learner or a state that has no format, that is not finite, or not the learner's.
+    """
+    settings = _settings(checked_learner(learner), state)
+    template = _template(settings)
+    given, expected = _leaves((learner, state)), _leaves(template)
+    same = jax.tree.structure((learner, state)) == jax.tree.structure(template)
+    if not same or {name: _kind(leaf) for name, leaf in given.items()} != {
+        name: _kind(leaf) for name, leaf in expected.items()
+    }:
+        raise UserError(
+            "this learner and this state cannot be saved: give a learner as make_learner makes it, and one state of it"
+        )
+    # Nothing is kept of arrays without entries, which the checkpoint does not take.
+    arrays = {name: np.asarray(leaf) for name, leaf in given.items() if leaf.size}
+    odd = _not_finite(arrays)
+    if odd:
+        raise UserError(f"this learner cannot be saved: {odd} is not finite")
+    return {"format": FORMAT, "kind": "learner", **settings}, arrays
+
+
+@under_own_settings
+def pack_policy(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The policy of `state` alone, in the same way, with the points in use; `gpcjax.policies.saved` unpacks it.
+
+    Raises:
+        ValueError: `learner` is none, or its policy is not finite.
+        TypeError: there is no format for such a policy.
+    """
+    learner, state = jax.tree.map(jnp.asarray, (checked_learner(learner), state))
+    return pack_controller(learner.controller(state))
+
+
+@under_own_settings
+def compact(learner: Learner, state: State) -> State:
+    """The same state (arrays on the host) with room for no more points than it has, one at least.
+
+    `learner.resize` gives it back to the bit: what it adds is always the same. Room for anything but points stays.
+    """
+    if not isinstance(learner, GPC):
+        return state
+    used = (max(1, int(np.max(each.count))) for each in (state.policy, state.human))
+    shapes = _shapes_of_state(learner, dict(zip(("policy", "human"), used, strict=True)))
+    return jax.tree.map(lambda leaf, least: np.asarray(leaf)[tuple(map(slice, least.shape))], state, shapes)
+
+
+@under_own_settings
+def unpack_learner(
+    card: Mapping[str, Any], arrays: Mapping[str, np.ndarray], source: Any = "packed"
+) -> tuple[Learner, State]:
+    """The learner and the state that were packed (`pack_learner`).
+
+    Raises:
+        ValueError: card and arrays make none; the message begins with the `source`.
+    """
+    if card.get("kind") != "learner" or card.get("format") != FORMAT:
+        raise UserError(f"{source}: this is not a learner's card of format {FORMAT}")
+    return unpacked(template_of(card, source), arrays, source)
+
+
+def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
+    """The shape that a card tells of. Raises UserError."""
+    try:
+        return _template(_checked_settings(card))
+    except (UserError, KeyError, TypeError) as error:
+        raise UserError(f"{source}: this is not a learner's card ({first_line(error)})") from None
+
+
+def unpacked(
+    template: tuple[Learner, State], arrays: Mapping[str, np.ndarray], source: Any
+) -> tuple[Learner, State]:
+    """These arrays in the structure of `template`, if they have its names, shapes and types. Raises UserError."""
+    expected = _leaves(template)
+    empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
+    arrays = empty | dict(arrays)
+    odd = next(
+        (name for name in expected if name not in arrays or _kind(arrays[name]) != _kind(expected[name])), ""
+    )
+    odd = odd or next(iter(arrays.keys() - expected.keys()), "") or _not_finite(arrays)
+    if odd:
+        raise UserError(f"{source}: this learner is damaged ({odd} is not what the card says)")
+    leaves = [jnp.asarray(arrays[name]) for name in expected]
+    return jax.tree.unflatten(jax.tree.structure(template), leaves)
+
+
+def checked_learner(learner: Any) -> Learner:
+    """What was given, if it is a learner. Raises UserError."""
+    if not isinstance(learner, Learner):
+        raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
+    return learner
+
+
+def _settings(learner: Learner, state: State) -> dict[str, Any]:
+    """What of a learner and its state is no array."""
+    sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
+    if isinstance(learner, COACH):
+        return {"algo": "coach", **sizes, "counts": list(learner.grid.counts)}
+    if isinstance(learner, DCoach):
+        return {"algo": "d-coach", **sizes, **{name: getattr(learner, name) for name in _SIZES_OF_D_COACH}}
+    if not isinstance(learner, GPC):
+        raise UserError(
+            f"there is no format for a {type(learner).__name__}: give a learner from make_learner"
+        )
+    try:
+        capacities = {
+            "policy": int(state.policy.points.shape[1]),
+            "human": int(state.human.points.shape[1]),
+        }
+    except (AttributeError, IndexError):
+        raise UserError(f"state {shown(state)}: give a state of this learner") from None
+    return {
+        "algo": "gpc-ns" if learner.policy.normalise else "gpc",
+        **sizes,
+        "policy_nu": learner.policy.kernel.smoothness,
+        "static": learner.static_rate is not None,
+        "sparsify": learner.sparsify,
+        "on_full": learner.on_full,
+        "policy_capacity": learner.policy_capacity,
+        "human_capacity": learner.human_capacity,
+        "capacities": capacities,
+    }
+
+
+def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a card. Raises UserError or KeyError."""
+    sizes = {name: checked(name, card[name], int, COUNT) for name in ("obs_size", "action_size")}
+    algo = checked("algo", card["algo"], str, OneOf(("gpc", "gpc-ns", "coach", "d-coach")))
+    if algo == "d-coach":
+        whole = {name: checked(name, card[name], int, _SIZES_OF_D_COACH[name]) for name in _SIZES_OF_D_COACH}
+        return {"algo": algo, **sizes, **whole}
+    if algo == "coach":
+        counts = card["counts"]
+        if not isinstance(counts, list):
+            raise UserError(f"counts {shown(counts)}: give a list")
+        return {"algo": algo, **sizes, "counts": counts}
+    capacities = card["capacities"]
+    if not isinstance(capacities, dict):
+        raise UserError(f"capacities {shown(capacities)}: give those of policy and human")
+    return {
+        "algo": algo,
+        **sizes,
+        "policy_nu": checked("policy_nu", card["policy_nu"], float, ALLOWED["policy_nu"]),
+        "static": checked("static", card["static"], bool, SWITCH),
+        "sparsify": checked("sparsify", card["sparsify"], bool, SWITCH),
+        "on_full": checked("on_full", card["on_full"], str, OneOf(ON_FULL)),
+        **{name: checked(name, card[name], int, CAPACITY) for name in ("policy_capacity", "human_capacity")},
+        # It may have grown beyond what a new one begins with; the arrays must have this size.
+        "capacities": {
+            name: checked(f"capacity of {name}", capacities[name], int, COUNT) for name in ("policy", "human")
+        },
+    }
+
+
+def _template(settings: Mapping[str, Any]) -> tuple[Learner, State]:
+    """The shape of a learner and its state with these settings; nothing of its size is made."""
+    learner, state = _idle(json.dumps({name: settings[name] for name in settings if name != "capacities"}))
+    capacities = settings.get("capacities")
+    return learner, state if capacities is None else _shapes_of_state(learner, capacities)
+
+
+@functools.lru_cache(maxsize=256)
+def _idle(text: str) -> tuple[Learner, State]:
+    """The learner with these settings (JSON), and the shape of its first state. Raises UserError or TypeError."""
+    values = json.loads(text)
+    static = values.pop("static", False)
+    if static:
+        values["static_rate"] = 1.0
+    if values["algo"] == "coach":
+        size = values["obs_size"]
+        values |= {"lower": -1.0, "upper": 1.0}
+        if size > len(values["counts"]):
+            raise UserError(f"{len(values['counts'])} counts for obs_size {size}")
+    learner = make_learner(**values)
+    return learner, jax.eval_shape(learner.init)
+
+
+def _shapes_of_state(learner: Learner, capacities: Mapping[str, int]) -> GPCState:
+    """The shape of a state with other room than `init` makes; it may be more or less."""
+    assert isinstance(learner, GPC)
+
+    def models(process: GaussianProcess, capacity: int, size: int) -> Posterior:
+        one = _shapes_of_model(jax.tree.structure(process), capacity, size)
+        form = lambda leaf: jax.ShapeDtypeStruct((learner.action_size, *leaf.shape), leaf.dtype)  # noqa: E731
+        return jax.tree.map(form, one)
+
+    return GPCState(
+        policy=models(learner.policy, capacities["policy"], learner.obs_size),
+        human=models(learner.human, capacities["human"], learner.obs_size + 1),
+    )
+
+
+@functools.lru_cache(maxsize=4096)
+def _shapes_of_model(process: Any, capacity: int, size: int) -> Posterior:
+    """The shape of the empty dictionary of a process of this structure.
+
+    What is kept has any number of points: each costs milliseconds once, and not for every pair of both models.
+    """
+    numbers = process.unflatten([jnp.zeros(())] * process.num_leaves)
+    return jax.eval_shape(lambda: numbers.init(capacity, jnp.ones(size)))
+
+
+def _leaves(tree: Any) -> dict[str, Any]:
+    """Each leaf by its path, such as `state.policy.points`."""
+    paths, _ = jax.tree.flatten_with_path(tree)
+    first = ("learner", "state")
+    return {first[path[0].idx] + jax.tree_util.keystr(path[1:]): leaf for path, leaf in paths}
+
+
+def _kind(leaf: Any) -> tuple[tuple[int, ...], np.dtype]:
+    return tuple(np.shape(leaf)), np.dtype(leaf.dtype)
+
+
+def _not_finite(arrays: Mapping[str, np.ndarray]) -> str:
+    """The first array with other than finite numbers, or nothing."""
+    return next((name for name, value in arrays.items() if not np.isfinite(value).all()), "")
