@@ -30,6 +30,8 @@ _PUBLIC = {
     "expert_names": "gpcjax.envs.registry:expert_names",
     "load": "gpcjax.sweep.reading:load",
     "load_corrections": "gpcjax.sweep.reading:load_corrections",
+    "load_policies": "gpcjax.sweep.learned:load_policies",
+    "load_states": "gpcjax.sweep.learned:load_states",
     "load_learner": "gpcjax.learners.saved:load_learner",
     "gym_env": "gpcjax.envs.host:gym_env",
     "learner_names": "gpcjax.registry:learner_names",
@@ -62,6 +64,8 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "draw_report",
     "load",
     "load_corrections",
+    "load_policies",
+    "load_states",
     "learner_names",
     "teacher_names",
     "Env",
@@ -103,6 +107,7 @@ if TYPE_CHECKING:
     from gpcjax.registry import learner_names, teacher_names
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle
+    from gpcjax.sweep.learned import load_policies, load_states
     from gpcjax.sweep.reading import load, load_corrections
     from gpcjax.sweep.run import sweep as run_sweep
     from gpcjax.teachers.base import Teacher

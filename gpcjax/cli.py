@@ -8,8 +8,9 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import gpcjax
 from gpcjax import cli_options
@@ -20,6 +21,7 @@ from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import notes
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, Option, parse
 from gpcjax.sweep.plan import count, default_out, varying
@@ -32,6 +34,8 @@ FAULT = "fault.txt"
 """In a run folder, the traceback of the fault of ours that ended its last run."""
 
 BROKEN_PIPE = 141
+
+_KEPT = ("keep", "keep_at", "checkpoint")
 
 _HINTS = {
     errno.ENOSPC: "make room",
@@ -184,13 +188,30 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
+    running = Running(jobs, *_kept(given))
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
     if arguments.dry_run:
         print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
         return 0
     make_writable(out)
-    return _teach(spec, out, jobs)
+    return _teach(spec, out, running)
+
+
+class Running(NamedTuple):
+    """How a sweep is run, beside what it is."""
+
+    jobs: int
+    keeping: Keeping | None
+    checkpoint: float
+
+
+def _kept(given: Mapping[str, Given | Unchecked]) -> tuple[Keeping | None, float]:
+    """What is kept of runs, and the seconds after which they are saved meanwhile."""
+    value = {name: given[name].value if name in given else OPTIONS[name].default for name in _KEPT}
+    source = {name: given[name].source if name in given else OPTIONS[name].flag for name in _KEPT}
+    keeping = keeping_of(value["keep"], value["keep_at"], (source["keep"], source["keep_at"]))
+    return keeping, value["checkpoint"]
 
 
 def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[str, Given | Unchecked]:
@@ -208,13 +229,13 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
     return given | {"rate_schedule": Given(offered_rates(folder), setting.source)}
 
 
-def _teach(spec: SweepSpec, out: Path, jobs: int) -> int:
+def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
     try:
         from gpcjax.sweep.run import run
 
         _note()
         with held(out):  # until the report is written, too
-            run(spec, out, jobs)
+            run(spec, out, running.jobs, keeping=running.keeping, checkpoint=running.checkpoint)
             (out / FAULT).unlink(missing_ok=True)
             return _report(out)
     except KeyboardInterrupt as stop:

@@ -13,6 +13,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
 from gpcjax.engine.history import Credit
+from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
@@ -21,6 +22,7 @@ from gpcjax.learners.base import Learner
 from gpcjax.learners.descriptions import CREDIT
 from gpcjax.learners.factory import make_learner, sizes_of
 from gpcjax.registry import find, resolve
+from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.teachers.base import Teacher
@@ -85,15 +87,17 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     return make(**options)
 
 
-def make_pool(cell: Cell) -> Pool:
-    """A pool for all cells of the program of `cell`."""
+def make_pool(cell: Cell, keeping: Keeping | None = None) -> Pool:
+    """A pool for all cells of the program of `cell`, which hands out what is to be kept of their runs on the way."""
     program = program_of(cell)
+    on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
         env=make_env(program.env),
         expert=make_expert(program.env, program.oracle),
         episodes=program.episodes,
         template=start_of(cell),
         tiers=_tiers(program),
+        keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
     )
 
 

@@ -3,6 +3,8 @@
     OUT/manifest.json                              what the sweep is; where, with what and how far it ran
     OUT/episodes/part-NUMBER-HASH-DIGEST.parquet   rows of finished cells
     OUT/corrections/part-...                       the corrections of the part of the same name
+    OUT/kept/part-...                              what its runs had learned, where that was to be kept
+    OUT/checkpoints/...                            runs that were under way, until they are finished
     OUT/damaged/...                                what was no longer whole: set aside, never deleted
     OUT/.gpcjax.lock                               while a sweep writes here
 
@@ -34,9 +36,11 @@ GROWN = 4
 MANIFEST = "manifest.json"
 EPISODES = "episodes"
 CORRECTIONS = "corrections"
+KEPT = "kept"
+CHECKPOINTS = "checkpoints"
 DAMAGED = "damaged"
 
-BESIDE = (CORRECTIONS,)
+BESIDE = (CORRECTIONS, KEPT)
 """Folders of files that belong to the episodes of the same name."""
 
 Say = Callable[[str], None]

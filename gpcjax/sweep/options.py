@@ -31,6 +31,7 @@ from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
 from gpcjax.registry import Kind, built_in, choices, find
+from gpcjax.sweep.keeping import WHATS, WHEN
 from gpcjax.sweep.seeds import WORDS as SEEDS
 from gpcjax.sweep.seeds import Seeds
 
@@ -171,6 +172,15 @@ TUNING = OF_LEARNERS + OF_TEACHERS + OF_CREDIT
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),
     Option("jobs", int, Numbers(1, 1024, whole=True), "processes at once", otherwise="one for each core"),
+    Option("keep", str, OneOf(WHATS), "of each run, beside its rows", otherwise="nothing"),
+    Option("keep_at", str, Anything(WHEN), "the episode after which it is kept", "last"),
+    Option(
+        "checkpoint",
+        float,
+        NON_NEGATIVE,
+        "seconds after which runs that are under way are saved, to go on there after a kill; 0 for never",
+        15.0,
+    ),
     Option(
         "rate_from",
         str,

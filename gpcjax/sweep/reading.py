@@ -10,7 +10,7 @@ import pyarrow as pa
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in
-from gpcjax.sweep.layout import CORRECTIONS, EPISODES, Say, warn
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT, Say, warn
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.rows import IDENTITY, cells_of, correction_column
@@ -70,6 +70,25 @@ def read_episodes(out: Path, say: Say = warn) -> pd.DataFrame:
 def read_corrections(out: Path, say: Say = warn) -> pd.DataFrame:
     """One row for each of the first corrections of each cell, in the order of `read_episodes`, then by step."""
     return read(out, say).corrections
+
+
+def read_kept(out: Path, say: Say = warn) -> pd.DataFrame:
+    """What runs had learned, a row for each that was kept, in the order of `read_episodes`; empty if nothing was.
+
+    Raises:
+        UserError: `out` is no run folder, or its manifest is damaged.
+    """
+    manifest = read_manifest(out)
+    varying, found, seen = manifest["varying"], Found(), set()
+    keys, tables = [*IDENTITY, *varying], []
+    for part in whole_parts(out, manifest, found, {EPISODES: keys, KEPT: None}):
+        cells = cells_of(part.tables[EPISODES], keys)
+        if KEPT in part.tables:
+            old = cells & seen
+            tables.append(_of_cells(part.tables[KEPT], keys, cells - seen) if old else part.tables[KEPT])
+        seen |= cells
+    found.speak(out, say, "left out, the same sweep computes what is missing again")
+    return _frame(tables, varying, ["episode"])
 
 
 def load(out: Any) -> pd.DataFrame:

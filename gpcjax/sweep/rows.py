@@ -9,7 +9,8 @@ import pyarrow as pa
 
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
-from gpcjax.sweep.layout import CORRECTIONS, EPISODES
+from gpcjax.sweep.keeping import KeptRow
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
 from gpcjax.sweep.plan import Cell
 
 IDENTITY = ("env", "algo", "oracle", "error", "seed")
@@ -33,6 +34,8 @@ class CellRows:
     """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
     own: Mapping[str, np.ndarray] = field(default_factory=dict)
     """What the learner measures besides, [e] each."""
+    kept: tuple[KeptRow, ...] = ()
+    """What was learned, where that is to be kept, in the order of episodes."""
 
 
 def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.Table]:
@@ -41,6 +44,8 @@ def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.
         EPISODES: _episodes,
         CORRECTIONS: _corrections,
     }
+    if any(row.kept for row in rows):
+        makers[KEPT] = _kept
     return {folder: _table(rows, varying, *make(rows)) for folder, make in makers.items()}
 
 
@@ -102,6 +107,18 @@ def _corrections(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Arra
         **{name: pa.array(outcome[:, i]) for i, name in enumerate(("appended", "replaced", "full"))},
     }
     return [len(row.corrections["where"]) for row in rows], columns
+
+
+def _kept(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Array]]:
+    kept = [each for row in rows for each in row.kept]
+    columns = {
+        "episode": pa.array([each.episode for each in kept], pa.int32()),
+        "return": pa.array([each.returns for each in kept], pa.float64()),
+        "kind": pa.array([each.kind for each in kept], pa.string()),
+        "card": pa.array([each.card for each in kept], pa.large_string()),
+        "arrays": pa.array([each.arrays for each in kept], pa.large_binary()),
+    }
+    return [len(row.kept) for row in rows], columns
 
 
 def _table(

@@ -10,9 +10,11 @@ import gpcjax
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, stopping
-from gpcjax.sweep.executors import Desk, Executor, Processes, Totals
+from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
 from gpcjax.sweep.growth import covering, grown
-from gpcjax.sweep.layout import DAMAGED, FORMAT, MANIFEST, tell
+from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
@@ -34,13 +36,24 @@ UNKNOWN = "unknown, the manifest that said it was lost"
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
-def sweep(out: Any = None, jobs: Any = 1, executor: Any = None, **settings: Any) -> Path:
+def sweep(
+    out: Any = None,
+    jobs: Any = 1,
+    executor: Any = None,
+    keep: Any = None,
+    keep_at: Any = "last",
+    checkpoint: Any = OPTIONS["checkpoint"].default,
+    **settings: Any,
+) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
 
     Args:
         out: the path of the run folder, or None for `runs/ENV-HASH`.
         jobs: processes at once, a whole number as on the command line.
         executor: what runs the workers, in the place of so many processes (`gpcjax.sweep.executors`).
+        keep: "policies" or "states" (from which teaching goes on) of each run, for `load_policies` and `load_states`.
+        keep_at: after which episode: "last", "best", or n for every n-th.
+        checkpoint: seconds after which runs that are under way are saved, 0 for never.
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
 
     Raises:
@@ -54,16 +67,27 @@ def sweep(out: Any = None, jobs: Any = 1, executor: Any = None, **settings: Any)
         raise UserError(f"executor {executor!r}: give an object with `jobs` and `run(desk)`, as InProcess()")
     if executor is not None and jobs != 1:
         raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
+    keeping = keeping_of(keep, keep_at)
+    seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     check_sweep(folder, spec)
     make_writable(folder)
-    run(spec, folder, jobs, executor)
+    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds)
     return folder
 
 
-def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None, grows: bool = True) -> None:
+def run(
+    spec: SweepSpec,
+    out: Path,
+    jobs: int,
+    executor: Executor | None = None,
+    grows: bool = True,
+    keeping: Keeping | None = None,
+    checkpoint: float = OPTIONS["checkpoint"].default,
+) -> None:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
-    A folder that holds less than `spec` asks for `grows`, or is refused.
+    A folder that holds less than `spec` asks for `grows`, or is refused. Of each run that is kept what `keeping` says;
+    runs that are under way are saved every `checkpoint` seconds, and go on from there after a kill.
 
     Nobody else can write to `out` meanwhile. What is damaged there is set aside with a line on stderr, and computed
     again: the manifest too, if the parts say that they are of this sweep.
@@ -83,7 +107,15 @@ def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None,
         if missing or not manifest["complete"]:
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
-            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs)).run()
+            agree = told(manifest["versions"], machine.kind_of(here), keeping)
+            orders = Orders(
+                keeping=keeping,
+                checkpoints=str((out / CHECKPOINTS).absolute()),
+                seconds=checkpoint,
+                agree=agree,
+                places=survey(out, lambda cell: not store.holds(cell), agree, tell),
+            )
+            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders).run()
 
 
 def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
@@ -155,6 +187,7 @@ class _Sweep:
         store: Store,
         missing: list[Cell],
         executor: Executor,
+        orders: Orders,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
         self._store, self._missing = store, missing
@@ -170,6 +203,8 @@ class _Sweep:
             on_rows=self._collect,
             on_baseline=self._keep_baseline,
             on_progress=self._show,
+            on_note=tell,
+            orders=orders,
         )
         self._bar = Bar(spec.env, len(missing), self._desk.workers)
 
@@ -186,6 +221,8 @@ class _Sweep:
                     self._flush()
             # What was asked for before may have been interrupted, and is not asked for now.
             self._save(complete=self._store.cells >= self._manifest["cells"])
+            if self._manifest["complete"]:
+                remove_all(self._out)
 
     def _missing_baselines(self) -> list[tuple[str, str]]:
         known = self._manifest["baselines"]

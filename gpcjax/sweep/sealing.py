@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.layout import CORRECTIONS, EPISODES, FORMAT, parse_part, sha256
+from gpcjax.sweep.layout import BESIDE, CORRECTIONS, EPISODES, FORMAT, KEPT, parse_part, sha256
 
 _SEAL = b"gpcjax"
 """Key of the metadata in which a file says what it is, as JSON."""
@@ -66,7 +66,11 @@ def sealed(
         seal["replaces"] = list(replaces)
     sink = pa.BufferOutputStream()
     schema = {**(table.schema.metadata or {}), _SEAL: json.dumps(seal)}
-    pq.write_table(table.replace_schema_metadata(schema), sink, write_page_checksum=True)
+    # Factors of matrices are half zeros: zstd finds that.
+    compression = "zstd" if kind == KEPT else "snappy"
+    pq.write_table(
+        table.replace_schema_metadata(schema), sink, write_page_checksum=True, compression=compression
+    )
     return sink.getvalue().to_pybytes()
 
 
@@ -94,7 +98,7 @@ def opened(out: Path, name: str) -> Opened | None:
             if (version, table, told) == (FORMAT, EPISODES, part.hash):
                 asked = [each for each in seal.get("asked") or () if isinstance(each, dict)]
                 origin = Origin(part.hash, seal["versions"], str(seal.get("machine", "")), asked)
-                sums = {folder: seal[folder] for folder in (CORRECTIONS,) if folder in seal}
+                sums = {folder: seal[folder] for folder in BESIDE if isinstance(seal.get(folder), str)}
                 return Opened(origin, sums, tuple(seal.get("replaces", ())), data)
     return None  # whole, and not written by this version
 

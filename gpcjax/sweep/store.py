@@ -71,8 +71,7 @@ class Store:
         self._next = max(numbers, default=-1) + 1
         self._small: dict[int, list[str]] = {}
         """Parts that could become one with others, by about how large they are."""
-        self.cells = 0
-        """Cells that are stored, as far as they were counted."""
+        self._stored: set[tuple[Any, ...]] = set()
 
     def missing(self, cells: Iterable[Cell]) -> list[Cell]:
         """The cells that have no rows yet.
@@ -82,7 +81,7 @@ class Store:
         """
         self._clean()
         columns, found = [*IDENTITY, *self._varying], Found()
-        stored: set[tuple[Any, ...]] = set()
+        stored = self._stored = set[tuple[Any, ...]]()
         for part in whole_parts(self._out, self._manifest, found, {EPISODES: columns}):
             held = cells_of(part.tables[EPISODES], columns)
             found.repeated += len(held & stored)
@@ -103,15 +102,23 @@ class Store:
             set_aside(self._out, *(self._out / folder / name for folder in (EPISODES, *BESIDE)))
         fate = f"moved to {self._out / DAMAGED}, what is missing runs again"
         found.speak(self._out, self._say, fate)
-        self.cells = len(stored)
-        return [cell for cell in cells if key_of(cell, self._varying) not in stored]
+        return [cell for cell in cells if not self.holds(cell)]
+
+    def holds(self, cell: Cell) -> bool:
+        """Whether a cell has rows; known once it was asked what is `missing`."""
+        return key_of(cell, self._varying) in self._stored
+
+    @property
+    def cells(self) -> int:
+        """Cells that are stored."""
+        return len(self._stored)
 
     def append(self, rows: Sequence[CellRows]) -> None:
         """Writes the rows of some cells as one part, and puts parts together where there are many by now."""
         if not rows:
             return
         self._write(tables_of(rows, self._varying))
-        self.cells += len(rows)
+        self._stored |= {key_of(row.cell, self._varying) for row in rows}
         for size in sorted(self._small):
             if len(self._small[size]) >= TOGETHER:
                 self._put_together(self._small.pop(size))

@@ -8,7 +8,6 @@ import gc
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -16,17 +15,15 @@ import jax
 import numpy as np
 
 from gpcjax.engine.evaluate import evaluate, idle
-from gpcjax.engine.lanes import Lane
-from gpcjax.engine.pool import Finished, Pool, Start
+from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
-from gpcjax.learners.base import Status
-from gpcjax.sweep.build import make_pool, start_of
+from gpcjax.sweep.build import make_pool
 from gpcjax.sweep.environment import refuse_another_environment
-from gpcjax.sweep.executors.base import Message, Say, Totals
+from gpcjax.sweep.executors.base import Message, Orders, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.rows import CellRows
+from gpcjax.sweep.runs import Runs
 
 REPORT_SECONDS = 0.25
 BASELINE_STARTS = 100
@@ -66,28 +63,24 @@ class _Worker:
         """Until the desk says stop."""
         while True:
             match self._say(("ready",)):
-                case ("program", Cell() as cell):
-                    self._teach(cell)
+                case ("program", Cell() as cell, Orders() as orders):
+                    self._teach(cell, orders)
                     give_back_memory()
                 case ("baseline", str() as env, str() as name):
                     self._say(("baseline", name, baseline(env, name)))
                 case _:
                     return
 
-    def _teach(self, first: Cell) -> None:
-        pool = make_pool(first)
-        cells: deque[Cell] = deque()
-
-        def next_start() -> Start | None:
-            if not cells:
-                cells.extend(self._more())
-            return start_of(cells.popleft()) if cells else None
-
-        def deliver(finished: Finished) -> None:
-            self._say(("rows", rows_of(finished.name, finished.lane)))
-
+    def _teach(self, first: Cell, orders: Orders) -> None:
+        pool = make_pool(first, orders.keeping)
+        runs = Runs(pool, orders, self._say)
         self._compiled = 0
-        pool.run(next_start, deliver, lambda: self._look(pool))
+
+        def look() -> None:
+            self._look(pool)
+            runs.save()
+
+        pool.run(runs.next_start, runs.deliver, look, runs.keep)
         self._done = self._progress(pool)
         self._say(("progress", self._done))
 
@@ -108,11 +101,6 @@ class _Worker:
             done.compilations + counters.compilations,
         )
 
-    def _more(self) -> list[Cell]:
-        answer = self._say(("next",))
-        assert answer is not None
-        return answer[1]
-
     def _say(self, message: Message) -> Message | None:
         try:
             return self._to_desk(message)
@@ -127,29 +115,6 @@ def give_back_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
     if trim is not None:
         trim(0)
-
-
-def rows_of(cell: Cell, lane: Lane) -> CellRows:
-    """What is stored of a finished lane: an episode that never began has no row.
-
-    One that was over before its first step, as its start or the action there was no number, has a row, with NaN.
-    """
-    began = np.flatnonzero((lane.rows.length > 0) | np.isnan(lane.rows.returns))
-    status = [Status.OK.label] * len(began)
-    if began.size:
-        status[-1] = Status(int(lane.status)).label
-    measured = {name: value for name, value in vars(lane.rows).items() if name != "own"}
-    episodes, own = (
-        {name: np.asarray(value)[began] for name, value in values.items()}
-        for values in (measured, lane.rows.own)
-    )
-    logged = int(lane.log.count)
-    corrections = {
-        name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")
-    }
-    return CellRows(
-        cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections, own=own
-    )
 
 
 def baseline(env_name: str, name: str) -> dict[str, float]:

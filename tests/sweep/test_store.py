@@ -461,7 +461,7 @@ def test_the_rows_of_a_lane():
     """An episode that never began has no row, and the last one carries the status; the log ends at its count."""
     from gpcjax.engine.lanes import LOGGED_CORRECTIONS, CorrectionLog, EpisodeRows, Lane
     from gpcjax.learners.base import Status
-    from gpcjax.sweep.worker import rows_of
+    from gpcjax.sweep.runs import rows_of
 
     length = np.array([5, 7, 0], np.int32)
     measured = {field.name: length for field in dataclasses.fields(EpisodeRows) if field.name != "own"}

@@ -3,12 +3,14 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
-    ("ready",)                   has nothing to do; answer: ("program", Cell), ("baseline", env, name) or ("stop",)
+    ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name) or
+                                 ("stop",)
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end
     ("rows", CellRows)           has finished a cell
     ("baseline", name, numbers)  has measured an idle policy or an expert
     ("progress", Totals)         has done so much so far; some times a second
     ("compiling", whether)       XLA begins with a program, or has it
+    ("note", line)               has something to tell the person
     ("failed", line, text)       its last word: an error in one line, and its full text or ""
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
@@ -18,11 +20,13 @@ import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
+from gpcjax.sweep.checkpoints import Place
+from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import Cell, program_of
 from gpcjax.sweep.progress import COMPILES_FROM, Work
 from gpcjax.sweep.rows import CellRows
@@ -48,6 +52,28 @@ class Totals:
     """What has been done for each program. Workers send none, they are reckoned here."""
     compiling: bool = False
     """Whether a worker has been compiling for a while."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Orders:
+    """What a worker is to do beside the rows of a program."""
+
+    keeping: Keeping | None = None
+    """What is kept of each run."""
+    checkpoints: str | None = None
+    """The folder for runs that are under way, where workers reach it; None for no checkpoints."""
+    seconds: float = 0.0
+    """Between two checkpoints."""
+    agree: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """What runs must agree in to go on (`gpcjax.sweep.checkpoints.told`)."""
+    places: Mapping[Cell, Place] = dataclasses.field(default_factory=dict)
+    """Where runs can go on."""
+
+    def of(self, cell: Cell) -> "Orders":
+        """Those for the program of this cell."""
+        program = program_of(cell)
+        places = {each: place for each, place in self.places.items() if program_of(each) == program}
+        return dataclasses.replace(self, places=places)
 
 
 @runtime_checkable
@@ -98,6 +124,8 @@ class Desk:
         on_rows: called with the rows of each finished cell.
         on_baseline: called with the name and the numbers of each baseline.
         on_progress: called with the totals, some times a second.
+        on_note: called with each line that a worker has for the person.
+        orders: what workers do beside.
     """
 
     def __init__(
@@ -108,6 +136,8 @@ class Desk:
         on_rows: Callable[[CellRows], None],
         on_baseline: Callable[[str, dict[str, float]], None],
         on_progress: Callable[[Totals], None],
+        on_note: Callable[[str], None] = lambda line: None,
+        orders: Orders = Orders(),
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
         self.workers = max(1, min(jobs, len(self.cells) or 1))
@@ -115,6 +145,7 @@ class Desk:
         self._sharing = Sharing(self.cells, self.workers)
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
+        self._on_note, self._orders = on_note, orders
         self._heard = [_Heard() for _ in range(self.workers)]
         self._before: list[Totals] = []
         """What workers had done that are gone."""
@@ -177,6 +208,8 @@ class Desk:
                 self._on_progress(self._totals())
             case ("compiling", bool() as compiling):
                 self._heard[worker].compiling_since = time.monotonic() if compiling else None
+            case ("note", str() as line):
+                self._on_note(line)
             case ("failed", line, details):
                 raise Failure(f"a worker process failed: {line}", details)
         return None
@@ -187,7 +220,7 @@ class Desk:
         cell = None if self._measure and measures else self._sharing.next_program(worker)
         if cell is not None:
             heard.since = time.monotonic()
-            return ("program", cell)
+            return ("program", cell, self._orders.of(cell))
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
             heard.baseline = self._measure.popleft()
             return ("baseline", *heard.baseline)

@@ -126,7 +126,7 @@ def _start(number: int, environment: dict[str, str]) -> _Worker:
         for descriptor in (errors, written):
             opened.callback(os.close, descriptor)
         process = subprocess.Popen(
-            python("gpcjax.sweep.executors.served", str(theirs.fileno())),
+            python("gpcjax.sweep.executors.served", str(theirs.fileno()), str(os.getpid())),
             pass_fds=[theirs.fileno()],
             env=environment,
             stdin=subprocess.DEVNULL,

@@ -1,0 +1,117 @@
+"""Runs that were under way when a sweep ended: which of them can go on, and from where. Loads no jax.
+
+    OUT/checkpoints/TIME-PID-NUMBER/    a folder of `gpcjax.policies.folder`: arrays by orbax, a card, their sums
+
+A worker writes such a folder every now and then, with all runs that it has at that moment, and then removes the one
+before. Its card lists their cells, and how far each of them is. Nothing in it is part of what a sweep found: whatever
+is not whole, or of other versions or another kind of machine, costs the time that it would have saved.
+"""
+
+import contextlib
+import dataclasses
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gpcjax.errors import UserError
+from gpcjax.policies.folder import read_card
+from gpcjax.sweep.keeping import Keeping
+from gpcjax.sweep.layout import CHECKPOINTS, Say
+from gpcjax.sweep.parts import names_in
+from gpcjax.sweep.plan import Cell
+from gpcjax.sweep.runfolder import set_aside
+
+KIND = "checkpoint"
+
+_NAME = re.compile(r"\d{10,}-\d+-\d+")
+_UNFINISHED = re.compile(r"\.\d{10,}-\d+-\d+-.*")
+"""What is being written; of a process that was killed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where a run is saved: the name of a folder in `OUT/checkpoints`, and which of the runs there it is."""
+
+    folder: str
+    index: int
+
+
+def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
+    """What runs must agree in to go on from a checkpoint, beside their cells."""
+    return {
+        "versions": dict(versions),
+        "machine": machine,
+        "keeping": None if keeping is None else dataclasses.asdict(keeping),
+    }
+
+
+def cell_as_json(cell: Cell) -> dict[str, Any]:
+    """For a card."""
+    return dataclasses.asdict(cell)
+
+
+def cell_of(entries: Mapping[str, Any]) -> Cell:
+    """The cell that `cell_as_json` was given. Raises KeyError, TypeError or ValueError for others."""
+    hyperparameters = tuple((str(name), float(value)) for name, value in entries["hyperparameters"])
+    schedule = tuple(map(float, entries["rate_schedule"]))
+    return Cell(**{**entries, "hyperparameters": hyperparameters, "rate_schedule": schedule})
+
+
+def survey(
+    out: Path, is_missing: Callable[[Cell], bool], agree: Mapping[str, Any], say: Say
+) -> dict[Cell, Place]:
+    """Where runs that are missing can go on: of several places, where they are most advanced.
+
+    What helps none of them is removed, what is damaged is set aside with a line; a folder that is none of ours stays.
+
+    Args:
+        out: the run folder; the caller is the one who writes there.
+        is_missing: whether a cell has no rows yet.
+        agree: see `told`.
+        say: takes a line for the person.
+    """
+    found = dict[Cell, tuple[int, Place]]()
+    damaged, folders = [], []
+    for name in names_in(out / CHECKPOINTS):
+        path = out / CHECKPOINTS / name
+        if _UNFINISHED.fullmatch(name):
+            shutil.rmtree(path, ignore_errors=True)
+        if not _NAME.fullmatch(name):
+            continue
+        try:
+            runs = _runs(path, agree)
+        except (UserError, KeyError, TypeError, ValueError):
+            damaged.append(path)
+            continue
+        folders.append(name)
+        for index, (cell, steps) in enumerate(runs):
+            if is_missing(cell) and steps > found.get(cell, (-1,))[0]:
+                found[cell] = steps, Place(name, index)
+    if damaged:
+        set_aside(out, *damaged)
+        runs = "1 damaged checkpoint" if len(damaged) == 1 else f"{len(damaged)} damaged checkpoints"
+        say(f"{out}: {runs} set aside, their runs begin anew ({CHECKPOINTS}/{damaged[0].name})")
+    useful = {place.folder for _, place in found.values()}
+    for name in set(folders) - useful:
+        shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
+    return {cell: place for cell, (_, place) in found.items()}
+
+
+def remove_all(out: Path) -> None:
+    """The checkpoints of a sweep that has come to its end."""
+    for name in names_in(out / CHECKPOINTS):
+        if _NAME.fullmatch(name) or _UNFINISHED.fullmatch(name):
+            shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
+    with contextlib.suppress(OSError):  # there is none, or somebody's own file is in it
+        (out / CHECKPOINTS).rmdir()
+
+
+def _runs(path: Path, agree: Mapping[str, Any]) -> list[tuple[Cell, int]]:
+    """The cells in a checkpoint and the steps that each of them has made; none where it does not `agree`."""
+    card = read_card(path, KIND)
+    if card["kind"] != KIND:
+        raise ValueError("no checkpoint")
+    runs = [(cell_of(each["cell"]), int(each["steps"])) for each in card["runs"]]
+    return runs if {name: card.get(name) for name in agree} == dict(agree) else []

@@ -1,0 +1,106 @@
+"""What of a run is kept beside its rows, and when: its policy, or all that it learned. Loads no jax."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from gpcjax.allowed import COUNT, OneOf, converted, shown
+from gpcjax.errors import UserError
+
+What = Literal["policies", "states"]
+WHATS = get_args(What)
+WHEN = f"last, best, or every n-th episode as {COUNT}"
+"""When something is kept, for messages."""
+
+
+@dataclass(frozen=True)
+class Keeping:
+    """What is kept of each run.
+
+    | Field   | Meaning                                                                                     |
+    |---------|---------------------------------------------------------------------------------------------|
+    | `what`  | "policies", or "states": all that the learner has, from which teaching goes on               |
+    | `every` | after each so many episodes, and after the last one; 0 for the last one alone               |
+    | `best`  | after the episode with the highest return alone (while it was taught), of equals the first   |
+    """
+
+    what: What
+    every: int = 0
+    best: bool = False
+
+    @property
+    def when(self) -> str | int:
+        """As a person gives it."""
+        return "best" if self.best else self.every or "last"
+
+
+def keeping_of(keep: Any, keep_at: Any, sources: tuple[str, str] = ("keep", "keep_at")) -> Keeping | None:
+    """What these settings ask for; None where nothing is to be kept.
+
+    Raises:
+        UserError: a value that is not allowed, or a time for nothing.
+    """
+    if keep is None:
+        if keep_at not in (None, "last"):
+            raise UserError(
+                f"{sources[1]} {shown(keep_at)}: nothing is kept, give --keep policies or --keep states"
+            )
+        return None
+    if keep not in WHATS:
+        raise UserError(f"{sources[0]} {shown(keep)}: give {OneOf(WHATS)}")
+    if keep_at in (None, "last"):
+        return Keeping(keep)
+    if keep_at == "best":
+        return Keeping(keep, best=True)
+    text = keep_at if isinstance(keep_at, str) else None
+    every = int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 9 else None
+    every = converted(int, keep_at) if text is None else every
+    if every is None or not COUNT.admits(every):
+        raise UserError(f"{sources[1]} {shown(keep_at)}: give {WHEN}")
+    return Keeping(keep, every=every)
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRow:
+    """What a run had learned at the end of an episode."""
+
+    episode: int
+    """From 1."""
+    returns: float
+    """Of that episode."""
+    kind: str
+    """"policy" or "state"."""
+    card: str
+    """JSON: what the arrays are, with the type and the shape of each as `arrays`."""
+    arrays: bytes
+    """One behind the other, in that order."""
+
+
+def packed(card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[str, bytes]:
+    """A card and the bytes of its arrays, to the bit."""
+    forms = {name: [value.dtype.str, list(value.shape)] for name, value in arrays.items()}
+    content = b"".join(np.ascontiguousarray(value).tobytes() for value in arrays.values())
+    return json.dumps({**card, "arrays": forms}), content
+
+
+def unpacked(card: str, content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What `packed` was given.
+
+    Raises:
+        ValueError, KeyError, TypeError: the bytes are not what the card says.
+    """
+    told = json.loads(card)
+    arrays, first = {}, 0
+    for name, (kind, shape) in told.pop("arrays").items():
+        dtype = np.dtype(kind)
+        if dtype.hasobject:
+            raise ValueError(f"{name} holds no numbers")
+        size = int(np.prod(shape, dtype=np.int64))
+        arrays[name] = np.frombuffer(content, dtype, size, first).reshape(shape)
+        first += size * dtype.itemsize
+    if first != len(content):
+        raise ValueError(f"{len(content) - first} bytes are left over")
+    return told, arrays
