@@ -40,7 +40,8 @@ def load_policies(out: Any, /, **where: Any) -> pd.DataFrame:
 def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
     """What learners had learned in a sweep (`--keep states`), a row for each: teaching goes on from there.
 
-    As `load_policies`; in the place of `policy` are `learner` and `state`, as `gpcjax.load_learner` gives them.
+    As `load_policies`; in the place of `policy` are `learner` and `state`, as `gpcjax.load_learner` gives them. A
+    dictionary has room for as many points again as it holds.
 
     Raises:
         ValueError: as `load_policies`.
@@ -91,4 +92,4 @@ def _row(folder: Path, wanted: str, kind: str, card: str, arrays: bytes, algo: s
         if isinstance(error, UserError):
             raise
         raise UserError(f"{source} is damaged ({error})") from None
-    return (learner, state) if wanted == "state" else learner.policy_of(state)
+    return (learner, learner.grow(state)) if wanted == "state" else learner.policy_of(state)

@@ -71,19 +71,19 @@ def assert_the_same_rows(got: Path, expected: Path, query: str = "seed >= 0") ->
         pd.testing.assert_frame_equal(read(got), frame, check_exact=True)
 
 
-def wait_for(condition) -> None:
-    deadline = time.monotonic() + PATIENCE
+def wait_for(condition, patience: float = PATIENCE) -> None:
+    deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
 
 @contextlib.contextmanager
-def process(words, out):
+def process(words, out, env=None):
     """A process in a group of its own, as the shell makes them, whose workers are killed with it at the end."""
     with open(out / "stderr", "w") as stderr:
         running = subprocess.Popen(
-            [sys.executable, *words], cwd=ROOT, stdout=stderr, stderr=stderr, start_new_session=True
+            [sys.executable, *words], cwd=ROOT, stdout=stderr, stderr=stderr, start_new_session=True, env=env
         )
     try:
         yield running

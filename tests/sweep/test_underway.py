@@ -1,0 +1,242 @@
+"""Real sweeps that are killed in the middle of their runs and go on from there; and what their runs had learned."""
+
+import json
+import os
+import re
+import shutil
+import signal
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import gpcjax
+from gpcjax import cli
+from gpcjax.sweep import machine
+from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.keeping import Keeping, keeping_of, packed, unpacked
+from gpcjax.sweep.layout import CHECKPOINTS
+from gpcjax.sweep.learned import load_policies, load_states
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
+from gpcjax.sweep.run import sweep, versions
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.test_sweeps import alive, process, wait_for, workers_of
+
+HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
+COMPILED = {"env": "cartpole", "algo": "gpc", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
+KEEP = {"keep": "states", "keep_at": 4}
+
+
+def killed_under_way(folder, settings):
+    """A run folder of a sweep that was killed between two chunks of its runs, before any was finished.
+
+    The worker ends itself, right after its second checkpoint; so it does not depend on how fast this machine is.
+    """
+    out = folder / "out"
+    code = f"""
+import os, signal
+from gpcjax.sweep import checkpointing
+from gpcjax.sweep.executors import InProcess
+from gpcjax.sweep.run import sweep
+write, count = checkpointing.write_folder, []
+def then_end(*arguments):
+    write(*arguments)
+    count.append(1)
+    if len(count) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+checkpointing.write_folder = then_end
+checkpointing.SHARE = 1e9
+sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
+"""
+    from gpcjax.sweep.environment import worker_environment
+
+    with process(["-c", code], folder, env=worker_environment()) as running:
+        assert running.wait(300) == -signal.SIGKILL, (folder / "stderr").read_text()
+    return out
+
+
+@pytest.fixture(scope="module", params=[HOST, COMPILED], ids=["on the host", "compiled"])
+def case(request, tmp_path_factory):
+    """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
+    settings = request.param
+    reference = sweep(tmp_path_factory.mktemp("reference") / "out", checkpoint=0, **KEEP, **settings)
+    return settings, reference, killed_under_way(tmp_path_factory.mktemp("killed"), settings | KEEP)
+
+
+@pytest.fixture
+def killed(case, tmp_path):
+    """A copy of that folder."""
+    return shutil.copytree(case[2], tmp_path / "out")
+
+
+def assert_same(out, reference):
+    for read in (read_episodes, read_corrections, read_kept):
+        pd.testing.assert_frame_equal(read(out), read(reference), check_exact=True)
+
+
+def steps_of(out):
+    return json.loads((out / "manifest.json").read_text())["env_steps"]
+
+
+def test_it_goes_on_from_there_to_the_same_bits(case, killed):
+    settings, reference, _ = case
+    assert not list((killed / "episodes").iterdir())
+    # The one before the last is not needed any more, but the kill came before it went.
+    assert len(list((killed / CHECKPOINTS).iterdir())) == 2
+    before = steps_of(killed)
+    sweep(killed, checkpoint=0, **KEEP, **settings)
+    assert_same(killed, reference)
+    total = read_episodes(killed)["length"].sum()
+    assert 0 < steps_of(killed) - before < total
+    assert not (killed / CHECKPOINTS).exists()
+
+
+def test_a_damaged_checkpoint_costs_time_alone(case, killed, capsys):
+    settings, reference, _ = case
+    for folder in (killed / CHECKPOINTS).iterdir():
+        file = max(
+            (path for path in folder.rglob("*") if path.is_file()), key=lambda path: path.stat().st_size
+        )
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 1
+        file.write_bytes(data)
+    sweep(killed, checkpoint=0, **KEEP, **settings)
+    said = capsys.readouterr().err
+    assert re.search(
+        r"2 damaged checkpoints set aside, their runs begin anew \(checkpoints/\d+-\d+-\d+\)", said
+    )
+    assert len(list((killed / "damaged" / CHECKPOINTS).iterdir())) == 2
+    assert_same(killed, reference)
+
+
+def found(out, settings, **changes):
+    cells = set(plan(spec_of(**settings)))
+    agree = told(versions(), machine.kind_of(machine.describe()), keeping_of(**KEEP)) | changes
+    return survey(out, cells.__contains__, agree, print)
+
+
+def test_what_runs_must_agree_in(case, killed, tmp_path):
+    settings = case[0]
+    places = found(shutil.copytree(killed, tmp_path / "same"), settings)
+    assert set(places) == set(plan(spec_of(**settings)))
+    # The newer of the two is further, and the older one is gone.
+    left = sorted(path.name for path in (tmp_path / "same" / CHECKPOINTS).iterdir())
+    assert {place.folder for place in places.values()} == set(left) and len(left) == 1
+    for name, changes in {
+        "machine": {"machine": "another"},
+        "versions": {"versions": versions() | {"jax": "99"}},
+        "keeping": {"keeping": None},
+    }.items():
+        assert not found(shutil.copytree(killed, tmp_path / name), settings, **changes)
+    other = settings | {"rate": 0.3}
+    assert not found(shutil.copytree(killed, tmp_path / "cells"), other)
+
+
+def test_what_is_not_ours_stays(case, killed):
+    mine = killed / CHECKPOINTS / "mine"
+    mine.mkdir()
+    (killed / CHECKPOINTS / ".1795690957943205000-7-1-abc").mkdir()
+    found(killed, case[0])
+    names = {path.name for path in (killed / CHECKPOINTS).iterdir()}
+    assert "mine" in names and len(names) == 2
+    remove_all(killed)
+    assert [path.name for path in (killed / CHECKPOINTS).iterdir()] == ["mine"]
+
+
+def test_policies_and_states(case):
+    settings, reference, _ = case
+    policies, states = load_policies(reference), load_states(reference)
+    assert policies["episode"].tolist() == states["episode"].tolist() == [4, 8, 12] * settings["seeds"]
+    rows = read_episodes(reference).set_index(["seed", "episode"])["return"]
+    assert [rows[key] for key in zip(policies["seed"], policies["episode"], strict=True)] == policies[
+        "return"
+    ].tolist()
+    size = policies["policy"][0].controller.obs_size
+    obs = np.linspace(-0.3, 0.2, size)
+    for policy, learner, state in zip(policies["policy"], states["learner"], states["state"], strict=True):
+        np.testing.assert_array_equal(policy(obs), learner.policy_of(state)(obs))
+        _, info = learner.correct(state, obs, policy(obs), np.ones(learner.action_size))
+        assert int(info.status) == 0
+    assert len({np.asarray(policy(obs)).tobytes() for policy in policies["policy"]}) == len(policies)
+    assert load_policies(reference, seed=1, episode=[4, 12])["episode"].tolist() == [4, 12]
+    with pytest.raises(ValueError, match=r"'sead' is no column \(did you mean seed\?\)"):
+        load_policies(reference, sead=1)
+
+
+def test_nothing_was_kept(tmp_path):
+    settings = COMPILED | {"algo": "coach", "seeds": 1, "episodes": 2}
+    out = sweep(tmp_path / "out", **settings)
+    with pytest.raises(ValueError, match="no policies were kept there, give --keep policies"):
+        gpcjax.load_policies(out)
+    sweep(tmp_path / "kept", keep="policies", keep_at="best", **settings)
+    (episode,) = load_policies(tmp_path / "kept")["episode"]
+    assert episode == 1 + read_episodes(out)["return"].argmax()
+    with pytest.raises(ValueError, match="no states were kept there"):
+        load_states(tmp_path / "kept")
+
+
+@pytest.mark.parametrize(
+    ("keep", "at", "expected"),
+    [
+        (None, "last", None),
+        ("policies", "last", Keeping("policies")),
+        ("states", "best", Keeping("states", best=True)),
+        ("policies", "5", Keeping("policies", every=5)),
+        ("policies", 5, Keeping("policies", every=5)),
+    ],
+)
+def test_what_is_to_be_kept(keep, at, expected):
+    assert keeping_of(keep, at) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--keep policy", "--keep 'policy': give policies or states (did you mean policies?)"),
+        (
+            "--keep states --keep-at 0",
+            "--keep-at '0': give last, best, or every n-th episode as a whole number",
+        ),
+        ("--keep states --keep-at fist", "--keep-at 'fist': give last, best"),
+        ("--keep-at 3", "--keep-at '3': nothing is kept, give --keep policies or --keep states"),
+        ("--checkpoint -1", "--checkpoint -1: give a number of at least 0"),
+    ],
+)
+def test_mistakes(words, line, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["sweep", "--env", "cartpole", *words.split()]) == 2
+    assert capsys.readouterr().err.startswith(f"gpcjax: error: {line}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_packed_arrays_are_what_they_were():
+    arrays = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.array(3, np.int32),
+        "c": np.zeros((0, 2)),
+        "d": np.array([-0.0]),
+    }
+    card, content = packed({"kind": "x"}, arrays)
+    told_card, got = unpacked(card, content)
+    assert told_card == {"kind": "x"} and list(got) == list(arrays)
+    for name, value in arrays.items():
+        assert got[name].dtype == value.dtype and got[name].shape == value.shape
+        assert got[name].tobytes() == value.tobytes()
+    for changed in (content + b"x", content[:-1]):
+        with pytest.raises(ValueError):
+            unpacked(card, changed)
+
+
+def test_no_worker_outlives_its_parent(tmp_path):
+    """Killed while the worker is still importing, and while it works."""
+    out = tmp_path / "out"
+    code = f"from gpcjax.sweep.run import sweep; sweep({str(out)!r}, **{HOST!r})"
+    for moment in (lambda workers: True, lambda workers: out.exists() and any(out.glob("manifest.json"))):
+        with process(["-c", code], tmp_path) as running:
+            wait_for(lambda: workers_of(running.pid) or running.poll() is not None)
+            workers = workers_of(running.pid)
+            wait_for(lambda moment=moment, workers=workers: moment(workers))
+            os.kill(running.pid, signal.SIGKILL)
+            running.wait()
+            wait_for(lambda workers=workers: not any(map(alive, workers)), 1.0)
