@@ -1,8 +1,8 @@
 """All that a learner has learned as named arrays and a card of JSON values.
 
 The card names the algorithm, the sizes and the other settings that are no arrays; from them the shape of everything
-follows, and the arrays must have it. `gpcjax.learners.saved` keeps them in folders, others elsewhere. The policy alone is
-a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`.
+follows, and the arrays must have it. `gpcjax.learners.saved` keeps them in folders, others elsewhere. The policy alone
+is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`.
 """
 
 import functools
