@@ -4,6 +4,8 @@ A block is a compiled program for a number of lanes and a capacity. Between chun
 host takes out lanes that have finished, gives their places to the next ones, and moves lanes whose dictionary is full
 into the block of the next capacity. Widths and capacities are fixed, a lane's tier follows from its own counts, and
 empty places are masked: so the bits of a lane do not depend on what else is run, nor on when the host looks.
+It may copy a lane at the end of an episode (`Keep`), or all of them wherever it looks (`snapshot`), and go on from
+there (`resume`).
 """
 
 import dataclasses

@@ -155,10 +155,13 @@ def _stacked(lanes: Sequence[Lane]) -> Iterable[tuple[str, np.ndarray]]:
 def _cut(values: np.ndarray) -> tuple[np.ndarray, Card]:
     """The box beyond which there are but zeros, or ones on a diagonal; and which of both."""
     square = values.ndim > 2 and values.shape[-1] == values.shape[-2] > 1
+    whole = values.shape[1:]
+    if values.itemsize > 8:  # there are no whole numbers of so many bytes to compare
+        return values, {"box": list(whole), "identity": False}
     choices = []
     for identity in (False, True) if square else (False,):
         # By their bits: minus zero is kept, and so is any NaN.
-        odd = _bits(values) != _bits(_nothing(values.shape[1:], values.dtype, identity))[None]
+        odd = _bits(values) != _bits(_nothing(whole, values.dtype, identity))[None]
         box = tuple(_extent(odd, axis) for axis in range(1, values.ndim))
         choices.append((int(np.prod(box)), identity, box))
     _, identity, box = min(choices)

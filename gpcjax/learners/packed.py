@@ -1,7 +1,8 @@
-"""What a learner has learned as named arrays and a card of JSON values: its policy alone, or all of it.
+"""All that a learner has learned as named arrays and a card of JSON values.
 
 The card names the algorithm, the sizes and the other settings that are no arrays; from them the shape of everything
-follows, and the arrays must have it. `gpcjax.learners.saved` keeps both in folders, others keep them elsewhere.
+follows, and the arrays must have it. `gpcjax.learners.saved` keeps them in folders, others elsewhere. The policy alone
+is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`.
 """
 
 import functools
@@ -25,7 +26,6 @@ from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC, GPCState
 from gpcjax.policies.folder import FORMAT, first_line
-from gpcjax.policies.saved import pack_controller
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
 """The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
@@ -56,18 +56,6 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
     if odd:
         raise UserError(f"this learner cannot be saved: {odd} is not finite")
     return {"format": FORMAT, "kind": "learner", **settings}, arrays
-
-
-@under_own_settings
-def pack_policy(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The policy of `state` alone, in the same way, with the points in use; `gpcjax.policies.saved` unpacks it.
-
-    Raises:
-        ValueError: `learner` is none, or its policy is not finite.
-        TypeError: there is no format for such a policy.
-    """
-    learner, state = jax.tree.map(jnp.asarray, (checked_learner(learner), state))
-    return pack_controller(learner.controller(state))
 
 
 @under_own_settings

@@ -13,8 +13,8 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
-from gpcjax.learners.packed import compact, pack_learner, pack_policy, unpack_learner
-from gpcjax.policies.saved import Unfit, unpack_policy
+from gpcjax.learners.packed import compact, pack_learner, unpack_learner
+from gpcjax.policies.saved import Unfit, pack_controller, unpack_policy
 from tests.trees import assert_same_bits
 
 COACH = {"lower": (-1, -1), "upper": (1, 1), "counts": (2, 3)}
@@ -74,7 +74,7 @@ def test_what_is_packed_has_no_room_to_spare_and_goes_on_to_the_bit(algo):
     assert_same_bits(loaded, learner)
     assert_same_bits(loaded.resize(again, 40, 200), state)
     assert_same_bits(teach(loaded, loaded.resize(again, 40, 200), 1, 4), teach(learner, state, 1, 4))
-    policy = unpack_policy(*pack_policy(*on_host))
+    policy = unpack_policy(*pack_controller(jax.tree.map(np.asarray, learner.controller(state))))
     for obs in np.random.default_rng(2).normal(size=(3, 2)):
         np.testing.assert_allclose(policy(obs), learner.act(state, obs), rtol=0, atol=1e-14)
 
@@ -88,7 +88,7 @@ def test_what_was_not_packed_is_refused():
             unpack_learner({**card, **changed}, arrays, "cell 7")
     with pytest.raises(UserError, match=r"damaged \(learner.policy.noise is not what the card says\)"):
         unpack_learner(card, {key: value for key, value in arrays.items() if key != "learner.policy.noise"})
-    card, arrays = pack_policy(learner, state)
+    card, arrays = pack_controller(learner.controller(state))
     for changed in ({"kind": "learner"}, {"format": 3}, {"obs_size": 3}):
         with pytest.raises(Unfit):
             unpack_policy({**card, **changed}, arrays)
