@@ -10,7 +10,8 @@ from gpcjax.engine.lanes import Lane, Start
 from gpcjax.engine.pool import Finished, Kept, Pool, Resumed
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Status
-from gpcjax.learners.packed import compact, pack_learner, pack_policy
+from gpcjax.learners.packed import compact, pack_learner
+from gpcjax.policies.saved import pack_controller
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.checkpointing import Checkpointer, Saved
 from gpcjax.sweep.executors.base import Orders, Say
@@ -105,7 +106,7 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
 def kept_row(what: What, episode: int, lane: Lane) -> KeptRow:
     """What a lane's learner had learned after this many episodes."""
     if what == "policies":
-        kind, (card, arrays) = "policy", pack_policy(lane.learner, lane.state)
+        kind, (card, arrays) = "policy", pack_controller(lane.controller)
     else:
         kind, (card, arrays) = "state", pack_learner(lane.learner, compact(lane.learner, lane.state))
     text, content = packed(card, arrays)
