@@ -123,7 +123,7 @@ $(BROWSER): | $(READY)
 test: $(READY) $(BROWSER) ## run every test
 	$(call with_args,.venv/bin/python -m pytest -n 2)
 
-torture: $(READY) ## spoil hundreds of run folders, and see that each fault is found
+torture: $(READY) ## spoil hundreds of run folders, kill hundreds of sweeps, and see that nothing is lost
 	$(call with_args,.venv/bin/python -m tests.torture)
 
 lint: $(READY) ## check style, types and the direction of imports

@@ -112,6 +112,11 @@ def python(module: str, *words: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *words]
 
 
+def script(file: str, *words: str) -> list[str]:
+    """The command that runs a file in the same way, which imports nothing but what it asks for."""
+    return [sys.executable, "-P", file, *words]
+
+
 def notes() -> list[str]:
     """What a person should know of the present environment before a sweep starts: a line for each fact."""
     ours = {CACHE: os.environ.get(CACHE), **computing_environment()}

@@ -33,7 +33,7 @@ def workers(monkeypatch):
 
     def pretend(code, jobs=1, on_rows=lambda rows: None, on_progress=lambda totals: None):
         monkeypatch.setattr(
-            processes, "python", lambda _, number: [sys.executable, "-c", START + code, number]
+            processes, "script", lambda _, number, parent: [sys.executable, "-c", START + code, number]
         )
         popen = subprocess.Popen
 

@@ -9,7 +9,8 @@ from multiprocessing.connection import Connection, wait
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
-from gpcjax.sweep.environment import python, worker_environment
+from gpcjax.sweep.environment import script, worker_environment
+from gpcjax.sweep.executors import served
 from gpcjax.sweep.executors.base import ASKS, Desk
 from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
 
@@ -126,7 +127,7 @@ def _start(number: int, environment: dict[str, str]) -> _Worker:
         for descriptor in (errors, written):
             opened.callback(os.close, descriptor)
         process = subprocess.Popen(
-            python("gpcjax.sweep.executors.served", str(theirs.fileno()), str(os.getpid())),
+            script(served.__file__, str(theirs.fileno()), str(os.getpid())),
             pass_fds=[theirs.fileno()],
             env=environment,
             stdin=subprocess.DEVNULL,

@@ -1,25 +1,25 @@
-"""A worker process of `processes`, started as `python -m gpcjax.sweep.executors.served DESCRIPTOR`.
+"""A worker process of `processes`: this file is run, with a descriptor and the parent's process as arguments.
 
-It computes on one thread, whatever the number of processes: XLA's arithmetic may depend on how it splits work.
+It computes on one thread, whatever the number of processes: XLA's arithmetic may depend on how it splits work. Nothing
+of ours is imported before it is sure to end with its parent, which may be killed at any moment: imports take seconds.
 """
 
 import ctypes
 import os
 import signal
 import sys
-from multiprocessing.connection import Connection
-
-from gpcjax.sweep import stopping
-from gpcjax.sweep.executors.base import ASKS, Message
 
 
 def main() -> None:
     """Serves the connection whose descriptor is the first argument; the second one is the parent's process."""
+    die_with_parent(int(sys.argv[2]))
+    from multiprocessing.connection import Connection
+
+    from gpcjax.sweep import stopping
+    from gpcjax.sweep.executors.base import ASKS, Message
+
     for number in stopping.SIGNALS:  # they go to the parent, which says when to stop
         signal.signal(number, signal.SIG_IGN)
-    die_with_parent(int(sys.argv[2]))
-    from gpcjax.sweep.worker import work  # takes seconds, in which the parent may end
-
     connection = Connection(int(sys.argv[1]))
 
     def say(message: Message) -> Message | None:
@@ -28,6 +28,8 @@ def main() -> None:
             return connection.recv() if message[0] in ASKS else None
         except (EOFError, BrokenPipeError, ConnectionResetError):
             os._exit(1)  # the parent is gone
+
+    from gpcjax.sweep.worker import work
 
     if not work(say):
         raise SystemExit(1)
