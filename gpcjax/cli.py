@@ -231,8 +231,8 @@ def _report(out: Path) -> int:
 def _compare(arguments: argparse.Namespace) -> int:
     given = None if arguments.out is None else parse(OPTIONS["out"], arguments.out, "--out")
     folders = [Path(os.path.expanduser(folder)) for folder in arguments.folder]
-    for folder in folders:
-        check_report(folder)
+    for each in folders:
+        check_report(each)
     from gpcjax.report.compare import compare, usual_out
     from gpcjax.report.compare_page import terminal
 

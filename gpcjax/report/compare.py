@@ -13,9 +13,9 @@ import pandas as pd
 
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
-from gpcjax.report import compare_figure, compare_page, html, style
+from gpcjax.report import compare_figure, compare_page, html, style, words
 from gpcjax.report.compare_match import Folder, Match, Pair, checked_by, match, names_of, opened
-from gpcjax.report.compare_notes import differing, several_things
+from gpcjax.report.compare_notes import differing
 from gpcjax.report.compare_numbers import Difference, Profile, differences, profiles
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
@@ -163,8 +163,8 @@ def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:
     paths = [checked_path("folder", each) for each in folders]
     names = folder_names(paths)
     read = tuple(opened(path, name, tell) for path, name in zip(paths, names, strict=True))
-    tasks = unique(folder.study.env for folder in read)
-    if len(tasks) > 1:
+    task, *others = unique(folder.study.env for folder in read)
+    if others:
         told = ", ".join(f"{folder.study.env} in {folder.name}" for folder in read)
         raise UserError(f"the tasks differ ({told}): give folders of one task")
     across = checked_by(by, read)
@@ -174,7 +174,7 @@ def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:
     found = differences(pair for each in matches for pair in each.pairs)
     if not any(each.pairs for each in found):
         raise UserError(f"{' and '.join(names)} have no seed in common: give folders that share seeds")
-    return Comparison(tasks[0], read, matches, found)
+    return Comparison(task, read, matches, found)
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:
@@ -211,10 +211,13 @@ def _name(path: Path, among: Sequence[Path]) -> str:
 
 
 def _nothing_common(folders: Sequence[Folder], matches: Sequence[Match]) -> str:
-    names = " and ".join(folder.name for folder in folders)
+    names = words.listed([folder.name for folder in folders])
     settings = unique(name for each in matches for name in each.differing)
-    because = [*several_things(folders), *differing(folders)][0] if settings else ""
-    return f"{names}: no group of runs has the same settings in two of them. {because} Give --by {','.join(settings)}"
+    how = (
+        f"give --by {','.join(settings)} to match across what differs" if settings else "let them run further"
+    )
+    told = f" ({differing(folders)[0].removesuffix('.')})" if settings else ""
+    return f"{names} have no group of runs with the same settings{told}: {how}"
 
 
 def _both(pair: Pair, name: str) -> tuple[Any, Any]:

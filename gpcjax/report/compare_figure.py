@@ -1,6 +1,7 @@
 """The figure of a comparison: differences with their intervals (a forest plot), and performance profiles below."""
 
 import string
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,11 @@ ROW = 0.19
 """Inches of a row of the forest plot."""
 
 ACROSS = 3
-LONGEST_NAME = 34
+LONGEST_NAME, SHORTER_NAME = 40, 18
+"""Letters of a folder's name where it stands alone, and of each of two."""
+
+WRAP = 40
+"""Letters of a line above a panel."""
 
 
 def drawn(comparison: "Comparison") -> Drawing:
@@ -48,7 +53,7 @@ def drawn(comparison: "Comparison") -> Drawing:
     heights = [ROW * rows + 0.95, style.PANEL_HEIGHT * down + 0.45 if panels else 0.01]
     with style.publication():
         figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
-        top, bottom = figure.subfigures(2, 1, height_ratios=heights)
+        top, bottom = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
         _forest(top, comparison, areas, blocks)
         if panels:
             _profiles(bottom, comparison, panels, len(panels) < 2)
@@ -81,7 +86,7 @@ def _forest(
 ) -> None:
     """A panel for each statistic, a row for each pair of groups; several pairs of folders have their names above."""
     by_pair = {(id(each.pair), each.statistic): each for each in comparison.differences}
-    names = settings_shown([each.pair for each in comparison.differences])
+    told = _told(comparison.differences)
     axes = list(figure.subplots(1, len(STATISTICS), sharey=True))
     labels, headings, place = [], [], {}
     for block in blocks:
@@ -91,7 +96,7 @@ def _forest(
         for each in areas:
             if (each.pair.first, each.pair.second) == block:
                 place[id(each.pair)] = len(labels)
-                labels.append(_label(each, names))
+                labels.append(_label(each, told))
     for axis, statistic, letter in zip(axes, STATISTICS, string.ascii_lowercase, strict=False):
         axis.axvline(0.0, color=style.INK, linewidth=0.6, zorder=1)
         for pair, row in place.items():
@@ -99,9 +104,7 @@ def _forest(
         axis.set_title(f"({letter}) {STATISTICS[statistic]}")
         axis.xaxis.set_major_locator(MaxNLocator(nbins=5))
         axis.set_xlabel(
-            f"{_direction(*blocks[0])}, {words.return_label(comparison.folders[0].study)}"
-            if len(blocks) == 1
-            else f"first - second, {words.return_label(comparison.folders[0].study)}"
+            f"{_direction(*blocks[0]) if len(blocks) == 1 else 'first - second'}\n(above 0 the first is better)"
         )
         axis.tick_params(axis="y", length=0)
         axis.spines["left"].set_visible(False)
@@ -138,13 +141,10 @@ def _profiles(
     axes = list(figure.subplots(down, across, sharey=True, squeeze=False).flat)
     for unused in axes[len(families) :]:
         unused.remove()
-    names = settings_shown([each.pair for each in comparison.differences])
-    labels = {
-        (id(each.pair.first), _key(each.pair.one)): _label(each, names) for each in comparison.differences
-    }
-    seconds = {
-        (id(each.pair.second), _key(each.pair.other)): _label(each, names) for each in comparison.differences
-    }
+    told = _told(comparison.differences)
+    sides = [(each.pair.first, each.pair.one, each) for each in comparison.differences]
+    sides += [(each.pair.second, each.pair.other, each) for each in comparison.differences]
+    titles = {(id(folder), _key(group)): _label(each, told) for folder, group, each in reversed(sides)}
     letters = string.ascii_lowercase[len(STATISTICS) :]
     for place, (axis, family) in enumerate(zip(axes, families, strict=False)):
         for each in family:
@@ -152,10 +152,11 @@ def _profiles(
             line(axis, each.values, each.above, look)
         member = family[0].member
         key = id(member.folder), _key(member.group)
-        axis.set_title(f"({letters[place]}) {labels.get(key) or seconds[key]}", fontsize=7.0)
+        axis.set_title("\n".join(textwrap.wrap(f"({letters[place]}) {titles[key]}", WRAP)), fontsize=7.0)
         axis.set_ylim(-0.03, 1.03)
         axis.xaxis.set_major_locator(MaxNLocator(nbins=4))
-        axis.set_xlabel(f"final {words.return_label(comparison.folders[0].study)}")
+        if place + across >= len(families):
+            axis.set_xlabel(f"final {words.return_label(comparison.folders[0].study)}")
         if place % across == 0:
             axis.set_ylabel("part of runs above")
     handles: list[Artist] = [
@@ -182,20 +183,27 @@ def _key(group: object) -> tuple[object, ...]:
     return tuple(getattr(group, name) for name in ("oracle", "error", "algo", "point"))
 
 
-def _label(difference: Difference, names: Sequence[str]) -> str:
-    """`GPC, 10%, l_p 0.1 / 0.2`."""
+def _told(differences: Sequence[Difference]) -> list[str]:
+    """Settings that tell rows apart; one that is `0.1 / 0.2` in all of them is in the tables."""
+    pairs = [each.pair for each in differences]
+    names = [name for name in settings_shown(pairs) if name not in ALWAYS]
+    return [name for name in names if len({setting_shown(pair, name) for pair in pairs}) > 1]
+
+
+def _label(difference: Difference, told: Sequence[str]) -> str:
+    """`GPC, 10% error, l_p 0.1`."""
     pair = difference.pair
-    more = [f"{words.math_symbol(name)} {setting_shown(pair, name)}" for name in names if name not in ALWAYS]
-    text = [setting_shown(pair, "algo"), f"{setting_shown(pair, 'error')} error", *more]
-    return ", ".join(text)
+    algorithm, error = (setting_shown(pair, name).replace("$", "\\$") for name in ("algo", "error"))
+    more = [f"{words.math_symbol(name)} {setting_shown(pair, name)}" for name in told]
+    return ", ".join([algorithm, f"{error} error", *more])
 
 
 def _direction(first: Folder, second: Folder) -> str:
-    return f"{_short(first.name)} - {_short(second.name)}"
+    return f"{_short(first.name, SHORTER_NAME)} - {_short(second.name, SHORTER_NAME)}"
 
 
-def _short(name: str) -> str:
+def _short(name: str, longest: int = LONGEST_NAME) -> str:
     """A folder's name without its middle, if it is long; a dollar would begin a formula."""
-    half = LONGEST_NAME // 2
-    short = name if len(name) <= LONGEST_NAME else f"{name[:half]}...{name[-half:]}"
+    half = longest // 2
+    short = name if len(name) <= longest else f"{name[:half]}...{name[-half:]}"
     return short.replace("$", "\\$")

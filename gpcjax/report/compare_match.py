@@ -112,7 +112,9 @@ def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
     check_report(path)
     rows = store.read(path, say)
     manifest = rows.manifest
-    specification = {**_LATER, **manifest["specification"]}
+    specification = {**manifest["specification"]}
+    for each, usual in _LATER.items():
+        specification.setdefault(each, usual)
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}
     given = specification.pop("hyperparameters", {})
     several = {each for each in ("algo", "error", "oracle", "delta", "rate", *given)}
@@ -191,14 +193,16 @@ def checked_by(by: str | Sequence[str] | None, folders: Sequence[Folder]) -> tup
         return ()
     words = by.split(",") if isinstance(by, str) else list(by)
     names, known = [str(word).strip().replace("-", "_") for word in words], names_of(folders)
+    couples = list(itertools.combinations(folders, 2))
+    differ = [name for name in known if not all(_same_values(*couple, name) for couple in couples)]
+    give = f"give {', '.join(differ)}" if differ else "leave it out, the folders differ in no setting"
     for word, name in zip(words, names, strict=True):
         if name not in known:
-            near = suggestion(name, known)
-            raise UserError(f"by {shown(word)}: no setting of these folders{near}: give {', '.join(known)}")
+            raise UserError(f"by {shown(word)}: no setting of these folders{suggestion(name, known)}: {give}")
         if names.count(name) > 1:
             raise UserError(f"by {shown(word)} is given twice: give it once")
-        if all(_same_values(one, other, name) for one, other in itertools.combinations(folders, 2)):
-            raise UserError(f"by {shown(word)}: the folders have the same values of it, leave it out")
+        if name not in differ:
+            raise UserError(f"by {shown(word)}: the folders have the same values of it, {give}")
     return tuple(names)
 
 

@@ -17,17 +17,19 @@ MOST_GROUPS = 6
 """Groups that a sentence lists; all of them are in alone.csv."""
 
 
-def several_things(folders: Sequence[Folder]) -> list[str]:
-    """Where folders differ in more than one thing, what these are: any of them may be behind a difference."""
-    things = [_name(name) for name, _ in _settings(folders)]
-    things += ["their versions"] if _versions(folders) else []
-    things += ["their kinds of machine"] if _machines(folders) else []
+def several_things(folders: Sequence[Folder], matches: Sequence[Match]) -> list[str]:
+    """Where runs that are compared differ in more than one thing, what these are.
+
+    Groups that only one folder has are no such thing: they are compared with nothing.
+    """
+    things = [_name(name) for name in unique(name for each in matches for name in crossed(each))]
+    things += ["the versions"] if _versions(folders) else []
+    things += ["the kind of machine"] if len(_kinds(folders) - {""}) > 1 else []
     if len(things) < 2:
         return []
-    who = words.listed([folder.name for folder in folders])
     return [
-        f"{who} differ in {len(things)} things ({words.listed(things)}): "
-        "any of them may be behind a difference between their runs."
+        f"What is compared differs in {len(things)} things ({words.listed(things)}): any of them may be behind a "
+        "difference."
     ]
 
 
@@ -52,11 +54,10 @@ def matched(matches: Iterable[Match]) -> list[str]:
     lines = []
     for each in matches:
         first, second = each.first, each.second
-        crossing = [pair for pair in each.pairs if _crosses(each, pair.one, pair.other)]
-        if crossing:
+        if names := crossed(each):
             why = "as asked" if each.told else "the one setting in which they differ"
-            names = words.listed([_name(name) for name in each.across])
-            lines.append(f"{first.name} and {second.name} are matched across {names}, {why}.")
+            across = words.listed([_name(name) for name in names])
+            lines.append(f"{first.name} and {second.name} are matched across {across}, {why}.")
         if first.study.episodes != second.study.episodes:
             shorter = min(first.study.episodes, second.study.episodes)
             lines.append(f"{first.name} and {second.name} are compared over their first {shorter} episodes.")
@@ -120,6 +121,18 @@ def of_pairs(differences: Iterable[Difference]) -> list[str]:
     return lines
 
 
+def crossed(match: Match) -> tuple[str, ...]:
+    """The settings in which groups differ that are paired."""
+    return tuple(
+        name
+        for name in match.across
+        if any(
+            match.first.setting(each.one, name) != match.second.setting(each.other, name)
+            for each in match.pairs
+        )
+    )
+
+
 def group_name(folder: Folder, group: Group) -> str:
     """A group in words: learner, error, what varies in its folder."""
     point = words.point(group)
@@ -145,7 +158,7 @@ def shown(name: str, value: Value) -> str:
 def _name(name: str) -> str:
     """A setting in a sentence: with its symbol, if it has one."""
     symbol = words.plain_symbol(name)
-    return name if name in OWN or symbol == name else f"{name} ({symbol})"
+    return name if name in OWN or symbol == name else f"{name} {symbol}"
 
 
 def _settings(folders: Sequence[Folder]) -> list[tuple[str, str]]:
@@ -173,13 +186,15 @@ def _versions(folders: Sequence[Folder]) -> list[str]:
 
 def _machines(folders: Sequence[Folder]) -> list[str]:
     """One line, if all rows were not made on one kind of machine, as far as that is known."""
-    kinds = {kind for folder in folders for kind in folder.kinds}
+    kinds = _kinds(folders)
     if len(kinds) == 1 and "" not in kinds:
         return []
     silent = [folder.name for folder in folders if "" in folder.kinds]
     if silent:
-        tell = "does not tell its kind" if len(silent) == 1 else "do not tell their kinds"
-        return [f"Kinds of machine may differ: {words.listed(silent)} {tell} of machine (an old store)."]
+        tell = (
+            "does not tell its own (an old store)" if len(silent) == 1 else "do not tell theirs (old stores)"
+        )
+        return [f"Kinds of machine may differ: {words.listed(silent)} {tell}."]
     every = [machine for folder in folders for machine in folder.machines]
     entries = unique(
         name for one, other in itertools.combinations(every, 2) for name in of_machines(one, other)
@@ -205,8 +220,8 @@ def _baselines(folders: Sequence[Folder]) -> list[str]:
     return [f"The mean return differs of {words.listed(found)}."] if found else []
 
 
-def _crosses(match: Match, one: Group, other: Group) -> bool:
-    return any(match.first.setting(one, name) != match.second.setting(other, name) for name in match.across)
+def _kinds(folders: Iterable[Folder]) -> set[str]:
+    return {kind for folder in folders for kind in folder.kinds}
 
 
 def _each(folders: Sequence[Folder], texts: Sequence[Any]) -> str:

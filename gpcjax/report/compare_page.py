@@ -52,10 +52,12 @@ def settings_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
 
 
 def _values(pairs: Sequence[Pair], name: str) -> set[object]:
+    """What a setting is in these groups, where it changes anything."""
     return {
         value
         for pair in pairs
         for value in (pair.first.setting(pair.one, name), pair.second.setting(pair.other, name))
+        if value is not None
     }
 
 
@@ -79,7 +81,7 @@ def sheets(comparison: "Comparison") -> list[Sheet]:
         ours = [
             each for each in comparison.differences if (each.pair.first, each.pair.second) == (first, second)
         ]
-        decimals = words.places([bound for each in ours for bound in each.difference])
+        decimals = words.places([each.difference.estimate for each in ours])
         rows = tuple(_row(each, head, decimals) for each in ours)
         ends = frozenset(i for i in range(len(rows)) if i % len(STATISTICS) == len(STATISTICS) - 1)
         made.append(Sheet(f"{first.name} - {second.name}", columns, rows, ends, KINDS))
@@ -108,7 +110,10 @@ def p_shown(p: float) -> str:
 
 def warnings(comparison: "Comparison") -> list[str]:
     """What nobody may miss who reads the differences."""
-    return [*notes.several_things(comparison.folders), *notes.uncounted(comparison.folders)]
+    return [
+        *notes.several_things(comparison.folders, comparison.matches),
+        *notes.uncounted(comparison.folders),
+    ]
 
 
 def remarks(comparison: "Comparison") -> list[str]:
@@ -203,10 +208,10 @@ def _methods() -> dict[str, str]:
         "matched across. A run that stopped counts as a robot that does nothing from that episode on; runs that are "
         "not finished are in no number.",
         "Difference": "First folder minus second on the same seed, mean over seeds: above zero the first is better.",
-        "Intervals": f"Of differences and P(better): 95% intervals of a studentised bootstrap over seeds "
-        f"({RESAMPLES:,} resamples with a fixed random seed, each taking a seed's runs of both folders), never narrower than Student's "
-        "t. Of the paired chance and of profiles: exact binomial intervals (Clopper and Pearson); of P(better) too "
-        "where no run of the one is better than any of the other.",
+        "Intervals": "Of differences and P(better): 95% intervals of a studentised bootstrap over seeds "
+        f"({RESAMPLES:,} resamples with a fixed random seed, each taking a seed's runs of both folders), never "
+        "narrower than Student's t. Of the paired chance and of profiles: exact binomial intervals (Clopper and "
+        "Pearson); no interval of P(better) tells more than theirs would of as many pairs that all come out alike.",
         "p (Holm)": "Two-sided p of Student's t for a mean difference of zero, after Holm's correction: all "
         "differences of this page are one family. The intervals beside it are not corrected.",
         "P(better)": "The probability of improvement of Agarwal et al. (2021): the part of all pairs of a run of the "
