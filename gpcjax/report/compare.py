@@ -194,7 +194,7 @@ def folder_names(paths: Sequence[Path]) -> list[str]:
 
 def usual_out(names: Sequence[str]) -> Path:
     """Where a comparison of folders with these names goes if nobody says: `runs/compare-A-B`."""
-    name = "-".join(["compare", *(re.sub(r"[^A-Za-z0-9_.-]+", "-", each) for each in names)])
+    name = "-".join(["compare", *(re.sub(r"[^A-Za-z0-9_.-]+", "-", each).strip("-") for each in names)])
     if len(name) > LONGEST:
         name = (
             f"compare-{len(names)}-folders-{hash_of({'folders': {each: i for i, each in enumerate(names)}})}"

@@ -3,7 +3,7 @@
 import string
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -33,7 +33,18 @@ WIDTH = 3 * style.PANEL_WIDTH
 ROW = 0.19
 """Inches of a row of the forest plot."""
 
+MARK: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 4.0,
+    "color": style.INK,
+    "linewidth": 1.1,
+    "markeredgewidth": 0.9,
+}
+"""Of a difference: full or hollow."""
+
 ACROSS = 3
+"""Panels in a row."""
+
 LONGEST_NAME, SHORTER_NAME = 40, 18
 """Letters of a folder's name where it stands alone, and of each of two."""
 
@@ -50,7 +61,7 @@ def drawn(comparison: "Comparison") -> Drawing:
     panels = finals[:MOST_PANELS]
     rows = len(areas) + (len(blocks) if len(blocks) > 1 else 0)
     down = -(-len(panels) // ACROSS)
-    heights = [ROW * rows + 0.95, style.PANEL_HEIGHT * down + 0.45 if panels else 0.01]
+    heights = [ROW * rows + 1.15, style.PANEL_HEIGHT * down + 0.45 if panels else 0.01]
     with style.publication():
         figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
         top, bottom = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
@@ -101,7 +112,7 @@ def _forest(
         axis.axvline(0.0, color=style.INK, linewidth=0.6, zorder=1)
         for pair, row in place.items():
             _mark(axis, by_pair[pair, statistic], row)
-        axis.set_title(f"({letter}) {STATISTICS[statistic]}")
+        axis.set_title(f"({letter}) difference in {STATISTICS[statistic]}")
         axis.xaxis.set_major_locator(MaxNLocator(nbins=5))
         axis.set_xlabel(
             f"{_direction(*blocks[0]) if len(blocks) == 1 else 'first - second'}\n(above 0 the first is better)"
@@ -110,6 +121,11 @@ def _forest(
         axis.spines["left"].set_visible(False)
     axes[0].set_yticks(range(len(labels)), labels)
     axes[0].set_ylim(len(labels) - 0.4, -0.6)
+    handles: list[Artist] = [
+        Line2D([], [], label=label, **MARK, markerfacecolor=colour)
+        for label, colour in (("beyond zero after Holm's correction", style.INK), ("not so", "white"))
+    ]
+    figure.legend(handles=handles, loc="outside upper left", ncols=2, handlelength=1.8)
     for row in headings:
         axes[0].get_yticklabels()[row].set_fontweight("bold")
 
@@ -119,16 +135,8 @@ def _mark(axis: Axes, difference: Difference, row: int) -> None:
     estimate, lower, upper = difference.difference
     if np.isfinite([lower, upper]).all():
         axis.plot([lower, upper], [row, row], color=style.INK, linewidth=1.1, zorder=2)
-    axis.plot(
-        [estimate],
-        [row],
-        marker="o",
-        markersize=4.0,
-        color=style.INK,
-        markerfacecolor=style.INK if difference.survives else "white",
-        markeredgewidth=0.9,
-        zorder=3,
-    )
+    colour = style.INK if difference.survives else "white"
+    axis.plot([estimate], [row], **MARK, markerfacecolor=colour, zorder=3)
 
 
 def _profiles(

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 
 from gpcjax.report import compare_notes as notes
 from gpcjax.report import words
-from gpcjax.report.compare_match import Folder, Pair, names_of
+from gpcjax.report.compare_match import Folder, Pair, Value, names_of
 from gpcjax.report.compare_numbers import STATISTICS, Difference
 from gpcjax.report.content import facts
 from gpcjax.report.document import (
@@ -84,7 +84,7 @@ def sheets(comparison: "Comparison") -> list[Sheet]:
         decimals = words.places([each.difference.estimate for each in ours])
         rows = tuple(_row(each, head, decimals) for each in ours)
         ends = frozenset(i for i in range(len(rows)) if i % len(STATISTICS) == len(STATISTICS) - 1)
-        made.append(Sheet(f"{first.name} - {second.name}", columns, rows, ends, KINDS))
+        made.append(Sheet(f"differences, {first.name} - {second.name}", columns, rows, ends, KINDS))
     return made
 
 
@@ -195,10 +195,14 @@ def _facts(folder: Folder) -> dict[str, object]:
         "folder": str(folder.path),
         "hash": folder.hash,
         **folder.lengths,
-        **{name: values[0] if len(values) == 1 else values for name, values in folder.values.items()},
+        **{name: _listed(name, values) for name, values in folder.values.items()},
         "versions": folder.versions,
         "kind of machine": ", ".join(kind or "not told" for kind in folder.kinds),
     }
+
+
+def _listed(name: str, values: Iterable[Value]) -> str:
+    return ", ".join(notes.shown(name, value) for value in values)
 
 
 def _methods() -> dict[str, str]:
