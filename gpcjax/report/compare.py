@@ -34,12 +34,12 @@ _MEND = "make room and give the right to write, or give another --out"
 class Comparison:
     """What `gpcjax.compare` found.
 
-    | Attribute     | What                                                                         |
-    |---------------|------------------------------------------------------------------------------|
-    | `differences_table` | a row for each statistic of each pair of groups: comparison.csv         |
-    | `profiles_table`    | a row for each value, statistic and group: profiles.csv                 |
-    | `alone_table`       | a row for each group without a partner: alone.csv                       |
-    | `notes`       | what the folders differ in and how they are matched, a sentence each          |
+    | Attribute           | What                                                                   |
+    |---------------------|------------------------------------------------------------------------|
+    | `differences_table` | a row for each statistic of each pair of groups: comparison.csv        |
+    | `profiles_table`    | a row for each value, statistic and group: profiles.csv                |
+    | `alone_table`       | a row for each group without a partner: alone.csv                      |
+    | `notes`             | what the folders differ in and how they are matched, a sentence each   |
     """
 
     env: str
@@ -69,7 +69,7 @@ class Comparison:
         | pairs, equal | runs with the same seed; those of them whose returns are the same to the bit |
         | difference | mean of first minus second, in units of the return |
         | excludes_zero, p, p_holm, survives | whether beyond zero; Student's p, after Holm; both |
-        | better | chance that a run of the first is better than any of the second |
+        | better | chance that a run of the first is better than a run of the second, whatever their seeds |
         | better_paired | than the run of the same seed |
         """
         pairs = [each.pair for each in self.differences]
@@ -216,7 +216,7 @@ def _nothing_common(folders: Sequence[Folder], matches: Sequence[Match]) -> str:
     how = (
         f"give --by {','.join(settings)} to match across what differs" if settings else "let them run further"
     )
-    told = f" ({differing(folders)[0].removesuffix('.')})" if settings else ""
+    told = f" (their s{differing(folders)[0][1:].removesuffix('.')})" if settings else ""
     return f"{names} have no group of runs with the same settings{told}: {how}"
 
 

@@ -6,7 +6,7 @@ every resample of an interval takes a seed with its run in both folders (`gpcjax
 | What | Estimate | Interval |
 |---|---|---|
 | difference | mean of first minus second over seeds | `mean_interval`: a studentised bootstrap |
-| P(better) | chance that a run of the first is better than any run of the second (rliable's) | the same, linearised |
+| P(better) | chance that a run of the first is better than a run of the second, of any seeds (rliable's) | the same, linearised |
 | paired | chance that it is better than the run of the same seed | exact binomial (Clopper and Pearson) |
 | profile | part of the runs above a value | exact binomial, at each value for itself |
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from gpcjax.sweep.runfolder import part_name, sha256, write_manifest
 from tests.report import synthetic
 
 LP = "policy_length_scale"
+ROOT = Path(__file__).parents[2]
 FILES = {"comparison.csv", "profiles.csv", "alone.csv", "comparison.png", "comparison.pdf", "comparison.html"}
 
 
@@ -118,6 +120,7 @@ class TestMatching:
                for lp, seed in ((0.1, 1.0), (0.2, 2.0))]  # fmt: skip
         message = refusal(*gpc)
         assert "have no group of runs with the same settings" in message
+        assert "(their specifications differ in policy_length_scale l_p (0.1 in" in message
         assert message.endswith(f"give --by {LP},beta to match across what differs")
 
     def test_a_grid_meets_its_own_point_first(self, tmp_path):
@@ -237,6 +240,16 @@ def test_names_tell_folders_apart(tmp_path):
     assert str(usual_out(["x/run", "other"])) == "runs/compare-x-run-other"
     long = [usual_out([f"{letter * 80}", "b" * 80]).name for letter in "ac"]
     assert len(set(long)) == 2 and all(len(name) < 50 for name in long)
+
+
+def test_the_python_of_the_page(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, given in (("narrow", {LP: 0.1}), ("wide", {LP: 0.4})):
+        folder(tmp_path / "runs" / name, given=given)
+    (python,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/comparing.md").read_text(), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(python, "docs/comparing.md", "exec"), names)
+    assert {path.name for path in names["files"]} == FILES
 
 
 class TestSaved:
