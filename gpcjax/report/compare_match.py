@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,11 @@ class Folder:
             return group.point.get(name)
         values = self.values.get(name, (PRESET,))
         return values[0] if len(values) == 1 else None
+
+    @cached_property
+    def varied(self) -> frozenset[tuple[str, str]]:
+        """Each learner with the settings that vary here and concern it."""
+        return frozenset((group.algo, name) for group in self.study.groups for name, _ in group.point.values)
 
     def settings(self, group: Group, names: Iterable[str]) -> dict[str, Value]:
         """Those of these names."""
@@ -219,7 +225,7 @@ def _is_concerned(algo: str, folder: Folder, name: str) -> bool:
     Another's learner is not asked: its module would run for it.
     """
     if name in folder.study.varying:
-        return any(group.point.get(name) is not None for group in folder.study.groups if group.algo == algo)
+        return (algo, name) in folder.varied
     (teacher,) = folder.values["teacher"]
     if algo not in built_in("learner") or teacher not in built_in("teacher"):
         return True

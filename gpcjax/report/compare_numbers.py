@@ -6,16 +6,16 @@ every resample of an interval takes a seed with its run in both folders (`gpcjax
 | What | Estimate | Interval |
 |---|---|---|
 | difference | mean of first minus second over seeds | `mean_interval`: a studentised bootstrap |
-| P(better) | chance that a run of the first is better than a run of the second, of any seeds (rliable's) | the same, linearised |
+| P(better) | chance that a run of the first is better than one of the second, of any seeds | the same, linearised |
 | paired | chance that it is better than the run of the same seed | exact binomial (Clopper and Pearson) |
 | profile | part of the runs above a value | exact binomial, at each value for itself |
 
-Both of these chances count runs that are equal as half. P(better) is a mean over pairs of runs: its interval is that of
-the mean over seeds of what each seed adds to it (Hajek's projection), so that nothing is resampled n * n times. It
-contained the true chance in 94 to 100% of 1,000 samples, of 5, 10, 20 and 100 normal runs that were 0 to 2 standard
-deviations apart, with correlations of 0 to 0.9 within a seed. It tells no more than the exact binomial one would of as
-many pairs in which the same folder is always better: where every run of the one is better than every run of the other
-it would have no width.
+The first of these chances is rliable's; both count runs that are equal as half. It is a mean over pairs of runs: its
+interval is that of the mean over seeds of what each seed adds to it (Hajek's projection), so that nothing is resampled
+n * n times. It contained the true chance in 94 to 100% of 1,000 samples, of 5, 10, 20 and 100 normal runs that were 0
+to 2 standard deviations apart, with correlations of 0 to 0.9 within a seed. Where every run of the one is better than
+every run of the other it would have no width: so it tells no more than the exact binomial interval would of as many
+pairs in which the same folder is always better.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -133,8 +133,8 @@ def reading(comparison: "Comparison") -> list[str]:
         "Difference: first folder minus second, mean over the seeds that both have, with its 95% interval; of the area "
         f"(mean return of an episode) and the final return (mean of the last {FINAL_EPISODES} episodes). "
         f"* beyond zero by its interval; ** also after Holm's correction for {count} differences.",
-        "P(better): chance that a run of the first folder is better than a run of the second, whatever their seeds (0.5: "
-        "neither is); paired: than the run of the same seed. Both with 95% intervals.",
+        "P(better): chance that a run of the first folder is better than a run of the second, whatever their seeds "
+        "(0.5: neither is); paired: than the run of the same seed. Both with 95% intervals.",
     ]
     runs = max((each.pairs for each in comparison.differences), default=0)
     if runs < 10:
