@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ class Folder:
     hash: str
     versions: Mapping[str, str]
     machines: tuple[Mapping[str, Any], ...]
+    _concerned: dict[tuple[str, str], bool] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -62,7 +63,10 @@ class Folder:
         """What a setting is in one of the groups here."""
         if name in OWN:
             return getattr(group, name)
-        if not _is_concerned(group.algo, self, name):
+        key = group.algo, name
+        if key not in self._concerned:  # asked for each group and setting, many times
+            self._concerned[key] = _is_concerned(group.algo, self, name)
+        if not self._concerned[key]:
             return None
         if name in self.study.varying:
             return group.point.get(name)
