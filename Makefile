@@ -5,7 +5,7 @@
 #:   ERR       chance that an advice has the wrong sign (0)
 #:   ALGO      gpc, gpc-ns, coach or module:NAME (the three built-in ones; for a grid gpc)
 #:   TEACHER   who teaches (oracle): Alg. 4 of the thesis, module:NAME or replay:FILE
-#:   SEEDS     n, for seeds 0 to n-1 (100)
+#:   SEEDS     n, for seeds 0 to n-1 (100), or which: 100-199 or 3,7
 #:   EPISODES  of each run (30, 40 for pendulum, 200 for lunarlander)
 #:   ORACLE    whose actions the teacher aims at (gpc, heuristic for lunarlander, pump for mountaincar): an expert
 #:             of the task, the folder of a saved policy, or module:function

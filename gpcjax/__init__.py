@@ -29,8 +29,8 @@ _PUBLIC = {
     "env_names": "gpcjax.envs.registry:env_names",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
     "expert_names": "gpcjax.envs.registry:expert_names",
-    "load": "gpcjax.sweep.store:load",
-    "load_corrections": "gpcjax.sweep.store:load_corrections",
+    "load": "gpcjax.sweep.reading:load",
+    "load_corrections": "gpcjax.sweep.reading:load_corrections",
     "load_learner": "gpcjax.learners.saved:load_learner",
     "gym_env": "gpcjax.envs.host:gym_env",
     "learner_names": "gpcjax.registry:learner_names",
@@ -106,8 +106,8 @@ if TYPE_CHECKING:
     from gpcjax.report.compare import compare
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle
+    from gpcjax.sweep.reading import load, load_corrections
     from gpcjax.sweep.run import sweep as run_sweep
-    from gpcjax.sweep.store import load, load_corrections
     from gpcjax.teachers.base import Teacher
     from gpcjax.teachers.oracle import Oracle
 

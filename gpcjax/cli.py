@@ -1,7 +1,9 @@
 """The command line: parse and check first, import what computes second."""
 
 import argparse
+import dataclasses
 import errno
+import json
 import os
 import signal
 import sys
@@ -149,6 +151,10 @@ def _run(words: Sequence[str]) -> int:
             return _report(Path(arguments.out))
         case "compare":
             return _compare(arguments)
+        case "runs":
+            return _runs(Path(os.path.expanduser(arguments.folder or "runs")), arguments.json)
+        case "show":
+            return _show_folder(Path(os.path.expanduser(arguments.out)), arguments.json)
         case "oracles":
             return _oracles(arguments.env)
         case "reproduce":
@@ -251,6 +257,38 @@ def _print(rendered: object, out: Path, files: Sequence[Path]) -> int:
     width = None if sys.stdout.isatty() else 160  # a file or pipe is no narrow terminal
     Console(width=width).print(rendered)
     print(printable(f"{out}: {', '.join(path.name for path in files)}", sys.stdout.encoding))
+    return 0
+
+
+def _runs(below: Path, as_json: bool) -> int:
+    from gpcjax.sweep.listing import run_folders
+
+    folders = list(run_folders(below))
+    if as_json:
+        for folder in folders:
+            print(json.dumps(folder.as_json()))
+    elif folders:
+        from gpcjax.report import folders as told
+        from gpcjax.report.terminal import show_sheet
+
+        show_sheet(told.sheet(folders, below))
+    else:
+        print(f"{below}: it holds no run folders")
+    return 0
+
+
+def _show_folder(out: Path, as_json: bool) -> int:
+    from gpcjax.sweep.listing import contents, look
+
+    folder = look(out)
+    held = contents(folder)
+    if as_json:
+        print(json.dumps(folder.as_json() | dataclasses.asdict(held)))
+        return 0
+    from gpcjax.report import folders as told
+    from gpcjax.report.terminal import show_facts
+
+    show_facts(str(out), told.facts(folder, held))
     return 0
 
 

@@ -229,8 +229,11 @@ _TEXTS = {
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
+    "runs": "list run folders, and how far they are",
+    "show": "say what a run folder holds, and check all of it",
     "version": "print the version",
 }
+_JSON = Flag("--json", "in lines of JSON, for programs")
 COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
@@ -268,6 +271,13 @@ COMMANDS = {
     ),
     "teach": _teach(),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
+    "runs": Command(
+        _TEXTS["runs"],
+        (("", (_JSON,)),),
+        word="FOLDER",
+        word_text="the folder that holds them (default runs)",
+    ),
+    "show": Command(_TEXTS["show"], (("", (_JSON,)),), word="OUT", word_text="the run folder", needed=True),
     "version": Command(_TEXTS["version"]),
 }
 

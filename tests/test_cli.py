@@ -359,8 +359,8 @@ def test_an_unusable_folder_is_refused_before_anything_runs(calls, capsys):
 
 def test_the_folder_of_another_sweep_is_refused(calls, capsys):
     assert cli.main("sweep --env cartpole --out here".split()) == 0
-    line = fails(capsys, *"sweep --env cartpole --out here --error 0.1".split())
-    assert "here: it holds another specification (error), give a new folder" in line
+    line = fails(capsys, *"sweep --env cartpole --out here --episodes 4".split())
+    assert "here: it holds another specification (episodes 30, not 4): a folder grows by" in line
     Path("here/manifest.json").write_text("{")
     assert "here/manifest.json: cannot be read" in fails(capsys, *"sweep --env cartpole --out here".split())
     assert len(calls.run) == 1

@@ -12,7 +12,7 @@ import pytest
 
 import gpcjax
 from gpcjax import cli, registry
-from gpcjax.sweep.store import read_episodes
+from gpcjax.sweep.reading import read_episodes
 from gpcjax.teachers.replay import read_advice
 
 PAGE = (Path(__file__).parent.parent / "docs" / "extending.md").read_text()

@@ -13,9 +13,9 @@ from gpcjax import registry
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import read_episodes
 from tests.sweep.test_sweeps import kill_and_resume
 
 FOREIGN = Path(__file__).parent / "foreign"

@@ -30,10 +30,11 @@ import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
 from gpcjax.sweep import run as run_module
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, MANIFEST
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.reading import Rows, read
 from gpcjax.sweep.run import run
-from gpcjax.sweep.runfolder import CORRECTIONS, EPISODES, MANIFEST, read_manifest
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import Rows, read
 from tests.sweep.pretended import Pretended
 
 SETTINGS = {"env": "cartpole", "episodes": 3, "oracle": "lqr", "error": 0.1, "delta": [0.0, 0.05]}

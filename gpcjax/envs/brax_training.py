@@ -56,7 +56,8 @@ def quiet() -> Iterator[None]:
 def train(task: str, seed: int, settings: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The parameters of a trained policy: `mean` and `deviation` of observations, and `kernel_i`, `bias_i`.
 
-    Its action is tanh of the first half of what the last layer gives, with tanh between layers.
+    Its action is tanh of the first half of what the last layer gives, with tanh between layers. Training may ruin what
+    it had reached, so it is the policy of the best of the evaluations on the way; of equal ones the last.
     """
     with quiet():
         import brax.envs
@@ -80,16 +81,31 @@ def train(task: str, seed: int, settings: Mapping[str, Any]) -> dict[str, np.nda
         activation=linen.tanh,
     )
 
+    present: dict[int, dict[str, np.ndarray]] = {}
+    best: tuple[float, dict[str, np.ndarray]] = (-np.inf, {})
+
+    def note(steps: int, make: Any, params: Any) -> None:
+        present.clear()
+        present[steps] = arrays_of(params[0], params[1])
+
     def progress(steps: int, metrics: Mapping[str, Any]) -> None:
-        line = {"steps": int(steps), "return": float(metrics["eval/episode_reward"])}
-        print(json.dumps(line), flush=True)
+        nonlocal best
+        reached = float(metrics["eval/episode_reward"])
+        if steps in present and reached >= best[0]:
+            best = reached, present[steps]
+        print(json.dumps({"steps": int(steps), "return": reached}), flush=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _, params, _ = ppo.train(
-            environment=env, seed=seed, network_factory=factory, progress_fn=progress, **settings
+        ppo.train(
+            environment=env,
+            seed=seed,
+            network_factory=factory,
+            progress_fn=progress,
+            policy_params_fn=note,
+            **settings,
         )
-    return arrays_of(params[0], params[1])
+    return best[1]
 
 
 def arrays_of(normaliser: Any, policy: Any) -> dict[str, np.ndarray]:

@@ -42,6 +42,7 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
     return TaskSpec(
         full,
         make,
+        experts=known.experts,
         label=known.label,
         unit=known.unit,
         actions=known.actions,

@@ -20,8 +20,9 @@ from gpcjax.report.compare_numbers import Difference, Profile, differences, prof
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.layout import tell
 from gpcjax.sweep.plan import hash_of
-from gpcjax.sweep.runfolder import make_writable, tell
+from gpcjax.sweep.runfolder import make_writable
 
 RUNS = Path("runs")
 LONGEST = 120

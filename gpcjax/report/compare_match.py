@@ -13,7 +13,7 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
-from gpcjax.sweep import store
+from gpcjax.sweep import reading
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.runfolder import check_report
@@ -120,7 +120,7 @@ def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
         UserError: it is no run folder, holds no episodes yet, or none that is whole.
     """
     check_report(path)
-    rows = store.read(path, say)
+    rows = reading.read(path, say)
     manifest = rows.manifest
     specification = {**manifest["specification"]}
     for each, usual in _LATER.items():

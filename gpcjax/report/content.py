@@ -17,6 +17,7 @@ from gpcjax.report.document import (
 )
 from gpcjax.report.statistics import RESAMPLES
 from gpcjax.report.summary import Summary
+from gpcjax.sweep.seeds import Seeds
 
 MOST_ROWS = 600
 """Longer tables are left to the files."""
@@ -73,8 +74,9 @@ def _lead(summary: Summary) -> str:
     errors = [words.percent(error) for error in study.errors]
     shown = ", ".join(errors) if len(errors) <= 6 else f"{errors[0]} to {errors[-1]}"
     oracles = ", ".join(dict.fromkeys(group.oracle for group in study.groups))
-    seeds = specification.get("seeds", max(group.runs for group in study.groups))
-    parts = [f"{shown} erroneous advice", f"oracle {oracles}", f"{seeds} seeds", f"{study.episodes} episodes"]
+    seeds = Seeds.of(specification.get("seeds", max(group.runs for group in study.groups)))
+    parts = [f"{shown} erroneous advice", f"oracle {oracles}", *([seeds.words] if seeds else [])]
+    parts += [f"{study.episodes} episodes"]
     parts += [f"{words.plain_symbol(name)} varies" for name in study.varying]
     return " · ".join(parts)
 

@@ -16,9 +16,10 @@ from gpcjax.errors import UserError
 from gpcjax.report import content, curves, grids, html, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
-from gpcjax.sweep import store
+from gpcjax.sweep import reading
 from gpcjax.sweep.atomic import write_atomic
-from gpcjax.sweep.runfolder import check_report, check_writable, tell
+from gpcjax.sweep.layout import tell
+from gpcjax.sweep.runfolder import check_report, check_writable
 
 _MEND = "make room and give the right to write, or report on a copy"
 
@@ -34,7 +35,7 @@ def draw(out: Any) -> Summary:
     out = checked_path("out", out)
     check_report(out)
     check_writable(out)
-    return draw_frames(out, *store.read(out, tell))
+    return draw_frames(out, *reading.read(out, tell))
 
 
 def draw_frames(

@@ -1,6 +1,7 @@
 """How the terminal shows a summary."""
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from rich import box
@@ -38,6 +39,26 @@ def laid_out(warnings: Iterable[str], sheets: Iterable[Sheet], notes: Iterable[s
         Text(),
         *(_Line(note, "dim") for note in notes),
     )
+
+
+def show_sheet(sheet: Sheet) -> None:
+    """Prints a table alone."""
+    _console().print(_Fitted(sheet))
+
+
+def show_facts(title: str, facts: Mapping[str, str]) -> None:
+    """Prints a title, and names with what they are."""
+    console = _console()
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, text in facts.items():
+        table.add_row(name, Text(words.printable(text, console.encoding)))
+    console.print(Text(words.printable(title, console.encoding), style="bold"), table, sep="\n")
+
+
+def _console() -> Console:
+    return Console(width=None if sys.stdout.isatty() else 160)  # a file or pipe is no narrow terminal
 
 
 @dataclass(frozen=True)

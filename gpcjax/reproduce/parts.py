@@ -7,7 +7,8 @@ from pathlib import Path
 
 from gpcjax.allowed import suggestion
 from gpcjax.errors import UserError
-from gpcjax.sweep.runfolder import EPISODES, MANIFEST, check_sweep
+from gpcjax.sweep.layout import EPISODES, MANIFEST
+from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.spec import make_spec, read_toml
 
 SWEEPS = Path(__file__).parent / "sweeps"
@@ -138,7 +139,7 @@ def check(sweeps: Path, out: Path, only: Sequence[str], quick: bool) -> int:
     for name in names:
         given = read_toml(sweeps / f"{name}.toml", quick)
         if given.pop("rate_from", None) is None:
-            check_sweep(out / name, make_spec(given))
+            check_sweep(out / name, make_spec(given), grows=False)
     return len(names)
 
 

@@ -13,8 +13,9 @@ from gpcjax.report.curves import first_rates
 from gpcjax.report.groups import FINAL_EPISODES, Group, Study, gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.reproduce.measures import Measure, known, measure, rank_correlations, ratio_of_means, slopes
-from gpcjax.sweep import store
-from gpcjax.sweep.runfolder import is_complete, tell
+from gpcjax.sweep import reading
+from gpcjax.sweep.layout import tell
+from gpcjax.sweep.manifest import is_complete
 
 EARLY = 10
 """Episodes that count as the leading part of a learning curve."""
@@ -166,7 +167,7 @@ def read(out: Path) -> Experiment | None:
     """The experiment in a run folder; None where it is missing or not complete."""
     if not is_complete(out):
         return None
-    rows = store.read(out, tell)
+    rows = reading.read(out, tell)
     return Experiment(gather(rows.episodes, rows.manifest), rows.episodes, rows.corrections)
 
 

@@ -19,10 +19,11 @@ from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.executors import run_alone
+from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.plan import count, plan, program_of
 from gpcjax.sweep.progress import seconds_left, works_of
 from gpcjax.sweep.run import run
-from gpcjax.sweep.runfolder import check_sweep, is_complete, make_writable
+from gpcjax.sweep.runfolder import check_sweep, make_writable
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
 
@@ -57,11 +58,11 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
             run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
         for name in PARTS[part].experiments:
             spec = _spec(sweeps / f"{name}.toml", out, quick)
-            check_sweep(out / name, spec)
+            check_sweep(out / name, spec, grows=False)
             make_writable(out / name)
             place += 1
             console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
-            run(spec, out / name, jobs)
+            run(spec, out / name, jobs, grows=False)
     report, tested = _drawn(out, quick)
     console.print(counted([claim for each in tested.values() for claim in each]))
     return report

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import json
+import math
 import subprocess
 import tempfile
 from collections.abc import Mapping
@@ -22,20 +23,22 @@ STARTS = 100
 
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "inverted_pendulum": {
-        "num_timesteps": 1_000_000,
+        # Updates after few steps: with four times as many it reached 15 of 1,000 after 205,000 steps, so 175.
+        "num_timesteps": 2_000_000,
         "unroll_length": 5,
-        "batch_size": 512,
-        "num_minibatches": 16,
         "num_updates_per_batch": 4,
-        "learning_rate": 6e-4,
+        "learning_rate": 1e-3,
         "reward_scaling": 10.0,
+        "num_evals": 11,
     },
     "reacher": {
-        "num_timesteps": 6_000_000,
+        "num_timesteps": 3_000_000,
         "episode_length": 50,
-        "num_updates_per_batch": 8,
+        "unroll_length": 10,
         "discounting": 0.95,
+        "learning_rate": 6e-4,
         "reward_scaling": 5.0,
+        "num_evals": 9,
     },
 }
 """How the training of a task differs from `DEFAULTS`."""
@@ -48,7 +51,7 @@ def trained(name: str, seed: int = 0) -> tuple[NetworkController, dict[str, Any]
         RuntimeError: the training failed; its last lines are in the message.
     """
     settings = {**DEFAULTS, **SETTINGS.get(name, {})}
-    reached: dict[str, Any] = {"steps": 0}
+    reached: dict[str, Any] = {"steps": 0, "return": -math.inf}
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "policy.npz"
         command = [*python("gpcjax.envs.brax_training"), name, str(file), str(seed), json.dumps(settings)]
@@ -57,10 +60,10 @@ def trained(name: str, seed: int = 0) -> tuple[NetworkController, dict[str, Any]
             try:
                 assert running.stdout is not None
                 for line in filter(lambda line: line.startswith("{"), running.stdout):
-                    reached = json.loads(line)
-                    print(
-                        f"brax:{name}: {reached['steps']:,} steps, return {reached['return']:.1f}", flush=True
-                    )
+                    seen = json.loads(line)
+                    print(f"brax:{name}: {seen['steps']:,} steps, return {seen['return']:.1f}", flush=True)
+                    if seen["return"] >= reached["return"]:
+                        reached = seen
                 status = running.wait()
             finally:  # it does not outlive this process
                 running.kill()

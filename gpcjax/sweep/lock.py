@@ -16,6 +16,9 @@ from gpcjax.errors import UserError
 LOCK = ".gpcjax.lock"
 """The locked file in a run folder. What it says is for people; what counts is the lock on it."""
 
+LOOK_SECONDS = 0.02
+"""Somebody who only looks whether a folder is held (`holder`) has its lock for much less."""
+
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 _held: dict[Path, tuple[int, int | None]] = {}
@@ -41,7 +44,11 @@ def held(out: Path) -> Iterator[None]:
         yield
         return
     try:
-        descriptor = _locked(folder / LOCK)
+        try:
+            descriptor = _locked(folder / LOCK)
+        except BlockingIOError:
+            time.sleep(LOOK_SECONDS)
+            descriptor = _locked(folder / LOCK)
     except BlockingIOError:
         raise UserError(
             f"{out}: another sweep writes there{_holder(folder / LOCK)}: "
@@ -57,6 +64,25 @@ def held(out: Path) -> Iterator[None]:
     finally:
         del _held[folder]
         _release(folder / LOCK, descriptor)
+
+
+def holder(out: Path) -> str | None:
+    """Who writes to a run folder now, as far as it can be told; None if nobody does. Writes nothing."""
+    path = out / LOCK
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        # A shared lock, so that two who look do not see each other.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(path).strip(" ()") or "another process"
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
+    return None
 
 
 def _locked(path: Path) -> int | None:

@@ -31,6 +31,8 @@ from gpcjax.describe import LearnerSpec, Setting, TaskSpec, TeacherSpec
 from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
 from gpcjax.registry import Kind, built_in, choices, find
+from gpcjax.sweep.seeds import WORDS as SEEDS
+from gpcjax.sweep.seeds import Seeds
 
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
@@ -108,7 +110,7 @@ EXPERIMENT = (
     Option("algo", str, _named("learner"), "who learns", OF_THE_THESIS, many=True, names="learner"),
     Option("teacher", str, _named("teacher"), "who teaches", built_in("teacher")[0], names="teacher"),
     Option("error", float, PROBABILITY, "chance that an advice has the wrong sign", (0.0,), many=True),
-    Option("seeds", int, COUNT, "how many: seeds 0 to n-1 of everything", 100),
+    Option("seeds", Seeds, Anything(SEEDS), "how many (0 to n-1), or which", Seeds(((0, 99),))),
     Option("episodes", int, COUNT, "episodes of each run", otherwise=_by_task(lambda task: task.episodes)),
     Option(
         "oracle",
@@ -201,6 +203,8 @@ def accept(option: Option, value: Any, source: str) -> Any:
     if isinstance(value, os.PathLike):
         value = os.fspath(value)
     value = plain(value)
+    if option.kind is Seeds and isinstance(value, str) and value.strip().isdigit():
+        _refuse(option, value, source)  # a number in quotes is none, here as elsewhere
     if option.kind is str and isinstance(value, str):
         return parse(option, value, source)
     values = entries(source, value, LARGEST + 1) if option.many or option.series else None
@@ -215,13 +219,13 @@ def accept(option: Option, value: Any, source: str) -> Any:
 
 def _from_word(option: Option, word: str, source: str) -> Any:
     """A word as `option.kind` has it; not a number is refused here, a number that is not allowed later."""
-    if option.kind is str:
+    if option.kind is str or (option.kind is Seeds and not _INTEGER.fullmatch(word.strip())):
         return word
     try:
-        number = option.kind(word) if option.kind is int else Written(word.strip())
+        number = Written(word.strip()) if option.kind is float else int(word)
     except ValueError:
         _refuse(option, word, source)
-    grammar = _INTEGER if option.kind is int else _DECIMAL
+    grammar = _DECIMAL if option.kind is float else _INTEGER
     if grammar.fullmatch(word.strip()) or (option.kind is float and not math.isfinite(number)):
         return number
     _refuse(option, word, source)
@@ -230,7 +234,7 @@ def _from_word(option: Option, word: str, source: str) -> Any:
 def _checked(option: Option, values: list[Any], source: str) -> Any:
     checked = []
     for value in values:
-        one = None if isinstance(value, Written) and value.lost else converted(option.kind, value)
+        one = None if isinstance(value, Written) and value.lost else _converted(option.kind, value)
         if one is None or not option.allowed.admits(one):
             _refuse(option, value, source)
         if option.names:
@@ -239,6 +243,10 @@ def _checked(option: Option, values: list[Any], source: str) -> Any:
     if option.series:
         return tuple(checked)
     return tuple(dict.fromkeys(checked)) if option.many else checked[0]
+
+
+def _converted(kind: type, value: object) -> Any:
+    return Seeds.of(value) if kind is Seeds else converted(kind, value)
 
 
 def _refuse(option: Option, value: Any, source: str) -> NoReturn:

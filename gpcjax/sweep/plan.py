@@ -109,7 +109,7 @@ def plan(spec: SweepSpec) -> list[Cell]:
         )
         for algo in spec.algo
         for oracle, point, error, delta, rate, seed in itertools.product(
-            spec.oracle, _points(spec, algo), spec.error, spec.delta, spec.rate, range(spec.seeds)
+            spec.oracle, _points(spec, algo), spec.error, spec.delta, spec.rate, spec.seeds
         )
     ]
 
@@ -120,7 +120,7 @@ def count(spec: SweepSpec) -> int:
     Raises:
         UserError: more than a million.
     """
-    each = spec.seeds * len(spec.oracle) * len(spec.error) * len(spec.delta) * len(spec.rate)
+    each = len(spec.seeds) * len(spec.oracle) * len(spec.error) * len(spec.delta) * len(spec.rate)
     cells = sum(each * math.prod(map(len, _axes(spec, algo).values())) for algo in spec.algo)
     if cells > LARGEST:
         raise UserError(f"{cells:,} cells: give fewer seeds or values, {LARGEST:,} cells are allowed")

@@ -11,26 +11,19 @@ from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, stopping
 from gpcjax.sweep.executors import Desk, Executor, Processes, Totals
+from gpcjax.sweep.growth import covering, grown
+from gpcjax.sweep.layout import DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
+from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, default_out, plan, specification_hash, varying
+from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State
-from gpcjax.sweep.runfolder import (
-    DAMAGED,
-    FORMAT,
-    MANIFEST,
-    DamagedManifest,
-    check_sweep,
-    make_writable,
-    own_parts,
-    read_manifest,
-    set_aside,
-    tell,
-    write_manifest,
-)
-from gpcjax.sweep.spec import SweepSpec, as_dict, spec_of
-from gpcjax.sweep.store import CellRows, Store
+from gpcjax.sweep.rows import CellRows
+from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
+from gpcjax.sweep.sealing import Origin
+from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
+from gpcjax.sweep.store import Store
 
 FLUSH_SECONDS = 2.0
 """Finished rows wait at most this long in memory."""
@@ -67,8 +60,10 @@ def sweep(out: Any = None, jobs: Any = 1, executor: Any = None, **settings: Any)
     return folder
 
 
-def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None) -> None:
+def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None, grows: bool = True) -> None:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
+
+    A folder that holds less than `spec` asks for `grows`, or is refused.
 
     Nobody else can write to `out` meanwhile. What is damaged there is set aside with a line on stderr, and computed
     again: the manifest too, if the parts say that they are of this sweep.
@@ -79,16 +74,30 @@ def run(spec: SweepSpec, out: Path, jobs: int, executor: Executor | None = None)
         Failure: a worker failed; what was finished is kept.
     """
     with held(out):
-        check_sweep(out, spec)  # again: somebody may have been faster
+        check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
-        manifest = _manifest(spec, out, len(cells))
+        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out)
         here = machine.describe()
-        store = Store(out, manifest, machine.kind_of(here))
+        store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
         if missing or not manifest["complete"]:
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
             _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs)).run()
+
+
+def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
+    """The manifest of a folder that is asked for `spec`, perhaps beside what it was asked before; and the hash of that.
+
+    Nothing is written yet.
+    """
+    request = covering(manifest, spec)
+    if request is not None:
+        return manifest, request
+    larger = grown(manifest, spec)
+    new = larger["cells"] - manifest["cells"]
+    tell(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
+    return larger, specification_hash(spec)
 
 
 def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
@@ -104,13 +113,35 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
     manifest = new_manifest(spec, names, cells)
     if own_parts(out, manifest["hash"]):
         # Its parts may be all that there is to compute, and of other versions or another machine than these.
-        origins = origins_of(out, manifest["hash"])
+        manifest, origins = _recovered(manifest, origins_of(out))
         manifest["versions"] = origins[0].versions if origins else manifest["versions"]
         manifest["recovered"] = True
         if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
     return manifest
+
+
+def _recovered(manifest: dict[str, Any], origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
+    """The manifest with all that its folder was asked for, as far as parts tell, and the origins that are of it.
+
+    A part lists what had been asked when it was written: so all that names a known specification is known too.
+    """
+    known: dict[str, SweepSpec | None] = {manifest["hash"]: None}
+    while True:
+        named = {
+            hash_of(specification): specification
+            for origin in origins
+            if known.keys() & {origin.hash, *map(hash_of, origin.asked)}
+            for specification in origin.asked
+        }
+        if not named.keys() - known.keys():
+            break
+        known |= {hash_: from_dict(each) for hash_, each in named.items() if hash_ not in known}
+    for each in filter(None, known.values()):
+        if covering(manifest, each) is None:
+            manifest = grown(manifest, each)
+    return manifest, [origin for origin in origins if origin.hash in known]
 
 
 class _Sweep:
@@ -153,7 +184,8 @@ class _Sweep:
                     self._desk.refuse_less()
                 finally:
                     self._flush()
-            self._save(complete=True)
+            # What was asked for before may have been interrupted, and is not asked for now.
+            self._save(complete=self._store.cells >= self._manifest["cells"])
 
     def _missing_baselines(self) -> list[tuple[str, str]]:
         known = self._manifest["baselines"]
@@ -197,7 +229,7 @@ class _Sweep:
         self._manifest["env_steps_per_s"] = self._manifest["env_steps"] / max(
             self._manifest["wall_time_s"], 1e-9
         )
-        self._manifest["complete"] = complete
+        self._manifest |= {"complete": complete, "finished": self._store.cells}
         write_manifest(self._out, self._manifest)
 
 

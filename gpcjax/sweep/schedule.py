@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.runfolder import check_report, tell
+from gpcjax.sweep.layout import tell
+from gpcjax.sweep.runfolder import check_report
 
 
 def offered_rates(out: Path) -> tuple[float, ...]:
@@ -18,7 +19,8 @@ def offered_rates(out: Path) -> tuple[float, ...]:
     check_report(out)
     import numpy as np
 
-    from gpcjax.sweep.store import IDENTITY, read
+    from gpcjax.sweep.reading import read
+    from gpcjax.sweep.rows import IDENTITY
 
     frame, _, manifest = read(out, tell)
     # A part that is lost or damaged would change the means, without a sign in them.

@@ -26,6 +26,7 @@ from gpcjax.sweep.options import (
     parse,
     settings_of,
 )
+from gpcjax.sweep.seeds import Seeds
 
 ORACLE = OPTIONS["teacher"].default
 """The teacher of the thesis (Alg. 4)."""
@@ -41,8 +42,8 @@ class SweepSpec:
     """Learners, likewise."""
     error: tuple[float, ...]
     """Chances that an advice has the wrong sign."""
-    seeds: int
-    """How many: seeds 0 to seeds - 1."""
+    seeds: Seeds
+    """Each of them makes a run of everything."""
     episodes: int
     """Episodes of each run."""
     oracle: tuple[str, ...]
@@ -267,8 +268,24 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
     """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
     later = {"teacher": ORACLE}
-    entries = asdict(spec).items()
+    entries = {**asdict(spec), "seeds": spec.seeds.as_json()}.items()
     return _lists({name: value for name, value in entries if name not in later or value != later[name]})
+
+
+def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
+    """The specification that `as_dict` gave, as it is: what it names need not be there any more.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    values = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in specification.items()
+    }
+    seeds, hyperparameters = Seeds.of(specification["seeds"]), specification["hyperparameters"]
+    if seeds is None:
+        raise ValueError(f"seeds {shown(specification['seeds'])}")
+    numbers = {name: tuple(value) for name, value in hyperparameters.items()}
+    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers})
 
 
 def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:

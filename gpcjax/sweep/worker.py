@@ -26,7 +26,7 @@ from gpcjax.sweep.environment import refuse_another_environment
 from gpcjax.sweep.executors.base import Message, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.store import CellRows
+from gpcjax.sweep.rows import CellRows
 
 REPORT_SECONDS = 0.25
 BASELINE_STARTS = 100

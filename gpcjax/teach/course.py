@@ -24,6 +24,7 @@ from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.run import versions
+from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec
 
 FORMAT = 1
@@ -71,7 +72,7 @@ class Course:
             "env": self.env,
             "algo": (self.algo,),
             "teacher": "person",
-            "seeds": 1,
+            "seeds": Seeds.of([self.seed]),
             "episodes": episodes,
         }
         if find("learner", self.algo).dictionary:

@@ -11,10 +11,12 @@ import numpy as np
 
 from gpcjax.learners.base import Status
 from gpcjax.sweep import machine
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, parse_part
+from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import varying
+from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.run import new_manifest
-from gpcjax.sweep.runfolder import CORRECTIONS, EPISODES, parse_part, write_manifest
-from gpcjax.sweep.store import CellRows, Store
+from gpcjax.sweep.store import Store
 from gpcjax.teach.course import Course
 
 

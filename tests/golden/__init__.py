@@ -15,8 +15,8 @@ from typing import Any
 import pandas as pd
 
 from gpcjax.sweep import machine
+from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
-from gpcjax.sweep.store import read_corrections, read_episodes
 
 CASES: dict[str, dict[str, Any]] = {
     "cartpole": {"env": "cartpole", "error": [0, 0.2], "seeds": 3, "episodes": 6},

@@ -14,9 +14,10 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report import compare_page
 from gpcjax.report.compare import folder_names, usual_out
-from gpcjax.sweep.parts import Origin, sealed
+from gpcjax.sweep.layout import part_name, sha256
+from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import hash_of
-from gpcjax.sweep.runfolder import part_name, sha256, write_manifest
+from gpcjax.sweep.sealing import Origin, sealed
 from tests.report import synthetic
 
 LP = "policy_length_scale"
@@ -46,7 +47,7 @@ def folder(path, loss=0.0, given=None, versions=None, sealed_parts=False, machin
     origin = Origin(manifest["hash"], manifest["versions"], "")
     corrections = sealed(pa.Table.from_pandas(rows, preserve_index=False), "corrections", origin)
     table = pa.Table.from_pandas(frame, preserve_index=False)
-    episodes = sealed(table, "episodes", origin, corrections=sha256(corrections))
+    episodes = sealed(table, "episodes", origin, {"corrections": sha256(corrections)})
     for name, content in (("episodes", episodes), ("corrections", corrections)):
         (path / name).mkdir(parents=True)
         (path / name / part_name(0, manifest["hash"], episodes)).write_bytes(content)

@@ -5,7 +5,7 @@ import pandas as pd
 
 from gpcjax import cli
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.store import read_episodes
+from gpcjax.sweep.reading import read_episodes
 from tests.reproduce.test_run import files
 
 SETTINGS = """

@@ -18,10 +18,10 @@ from gpcjax.reproduce.parts import PARTS, chosen
 from gpcjax.reproduce.run import reproduce
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Totals
-from gpcjax.sweep.runfolder import read_manifest
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import make_spec, read_toml
-from gpcjax.sweep.store import read_episodes
 from tests.reproduce.illustrated import illustrations
 from tests.sweep.pretended import hand_out, rows
 

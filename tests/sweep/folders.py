@@ -1,7 +1,8 @@
 """Run folders as a sweep makes them, without a sweep."""
 
+from gpcjax.sweep.layout import FORMAT
+from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import count, specification_hash, varying
-from gpcjax.sweep.runfolder import FORMAT, write_manifest
 from gpcjax.sweep.spec import as_dict
 
 VERSIONS = {"gpcjax": "0.1.0", "jax": "0.10.2"}

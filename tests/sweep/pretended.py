@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpcjax.sweep.executors import Totals
-from gpcjax.sweep.store import CellRows
+from gpcjax.sweep.rows import CellRows
 
 BASELINE = {"mean": 20.0, "std": 1.0, "n": 100}
 

@@ -142,7 +142,7 @@ def test_progress_is_put_down_to_programs(workers):
 import numpy as np
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.executors import Totals
-from gpcjax.sweep.store import CellRows
+from gpcjax.sweep.rows import CellRows
 parent.send(("ready",)); parent.recv()
 parent.send(("next",)); parent.recv()
 parent.send(("compiling", True)); time.sleep(1.2)

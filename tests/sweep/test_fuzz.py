@@ -140,7 +140,9 @@ def assert_valid(spec):
     assert spec.algo and set(spec.algo) <= {"gpc", "gpc-ns", "coach"}
     assert spec.oracle and set(spec.oracle) <= EXPERTS[spec.env]
     assert spec.on_full in ("error", "replace-nearest", "drop") and type(spec.sparsify) is bool
-    for count, most in ((spec.seeds, 10**6), (spec.episodes, 10**6), (spec.max_capacity, 16384)):
+    seeds = list(spec.seeds)
+    assert all(type(seed) is int and 0 <= seed < 10**9 for seed in seeds) and len({*seeds}) == len(seeds)
+    for count, most in ((len(seeds), 10**6), (spec.episodes, 10**6), (spec.max_capacity, 16384)):
         assert type(count) is int and 1 <= count <= most
     for chances in (spec.error, spec.rate, spec.rate_schedule):
         assert all(type(chance) is float and 0 <= chance <= 1 for chance in chances)
@@ -220,7 +222,8 @@ def test_flags(outcome):
                 value = got.hyperparameters.get(name, getattr(got, name, None))
                 assert value == (tuple(numbers) if name == SERIES else tuple(dict.fromkeys(numbers)))
             elif name in WHOLE - {"jobs"}:
-                assert re.fullmatch(r"\+?[0-9]+", text) and getattr(got, name) == int(text)
+                counted = len(got.seeds) if name == "seeds" else getattr(got, name)
+                assert re.fullmatch(r"\+?[0-9]+", text) and counted == int(text)
     assert taken > COUNT / 20 and refused > COUNT / 4
 
 

@@ -11,9 +11,9 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.sweep.environment import computing_environment, worker_environment
 from gpcjax.sweep.executors import Desk, Executor, InProcess, Processes
 from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import read_corrections, read_episodes
 from gpcjax.sweep.worker import work
 from tests.sweep.threads import Threads
 

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
-from gpcjax.sweep.store import read_corrections, read_episodes
 from tests.sweep.test_sweeps import kill_and_resume
 
 SETTINGS = {"env": "lunarlander", "algo": ["gpc", "coach"], "seeds": 2, "episodes": 2}

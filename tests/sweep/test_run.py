@@ -21,12 +21,14 @@ from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
+from gpcjax.sweep.layout import FORMAT, tell
 from gpcjax.sweep.lock import LOCK
+from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import UNKNOWN, run, sweep
-from gpcjax.sweep.runfolder import FORMAT, tell, write_manifest
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import Store, read_episodes
+from gpcjax.sweep.store import Store
 from tests.sweep.pretended import BASELINE, Pretended, rows
 
 SETTINGS = {
@@ -298,11 +300,11 @@ class TestOneWriter:
         def late(out):
             with monkeypatch.context() as patch:
                 patch.setattr(run_module, "held", contextlib.nullcontext)
-                sweep(out, **(SETTINGS | {"seeds": 3}))
+                sweep(out, **(SETTINGS | {"episodes": 4}))
             yield
 
         monkeypatch.setattr(run_module, "held", late)
-        with pytest.raises(UserError, match=r"it holds another specification \(seeds\)"):
+        with pytest.raises(UserError, match=r"it holds another specification \(episodes"):
             sweep(tmp_path / "out", **SETTINGS)
         assert len(pretended.calls) == 1
 
@@ -356,7 +358,7 @@ class TestManifestMadeAnew:
         (tmp_path / "manifest.json").unlink()
         before = contents(tmp_path)
         with pytest.raises(UserError, match="it holds rows of another sweep and no manifest"):
-            sweep(tmp_path, **(SETTINGS | {"seeds": 3}))
+            sweep(tmp_path, **(SETTINGS | {"episodes": 30}))
         assert not half.calls and contents(tmp_path) == before
 
 
@@ -422,8 +424,8 @@ def test_mistakes_are_refused_before_anything_is_written(tmp_path, pretend, sett
 def test_another_sweeps_folder_is_refused(tmp_path, pretend):
     pretend()
     sweep(tmp_path, **SETTINGS)
-    with pytest.raises(ValueError, match=r"it holds another specification \(seeds\)"):
-        sweep(tmp_path, **(SETTINGS | {"seeds": 3}))
+    with pytest.raises(ValueError, match=r"it holds another specification \(episodes"):
+        sweep(tmp_path, **(SETTINGS | {"episodes": 30}))
 
 
 def test_the_default_folder(tmp_path, pretend, monkeypatch):

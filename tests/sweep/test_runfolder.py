@@ -3,19 +3,11 @@ import json
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.sweep.layout import FORMAT, UNSEALED, parse_part, part_name
 from gpcjax.sweep.lock import LOCK
+from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import specification_hash
-from gpcjax.sweep.runfolder import (
-    FORMAT,
-    UNSEALED,
-    check_report,
-    check_sweep,
-    make_writable,
-    parse_part,
-    part_name,
-    read_manifest,
-    set_aside,
-)
+from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable, set_aside
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.folders import begun
 
@@ -93,8 +85,11 @@ def test_a_file_in_the_place_of_a_folder_is_refused(tmp_path):
 
 def test_another_sweep_is_refused_with_what_differs(tmp_path):
     begun(tmp_path, SPEC)
-    message = refusal(check_sweep, tmp_path, spec_of(env="cartpole", error=[0, 0.2], seeds=3))
-    assert f"{tmp_path}: it holds another specification (error, seeds), give a new folder" in message
+    message = refusal(check_sweep, tmp_path, spec_of(env="cartpole", episodes=4, sparsify=False))
+    assert (
+        f"{tmp_path}: it holds another specification (episodes 30, not 4, sparsify True, not False): a folder grows"
+        in message
+    )
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
@@ -129,9 +124,9 @@ def test_a_broken_manifest_is_refused(tmp_path, text):
 
 def test_a_manifest_of_another_format_is_refused(tmp_path):
     """Format 1 lacks columns that rows have now."""
-    for version in (1, 4):
+    for version in (1, 5):
         begun(tmp_path, SPEC, format=version)
-        message = f"format {version} is not known, this version reads the formats 2 and 3"
+        message = f"format {version} is not known, this version reads the formats 2 to 4"
         assert message in refusal(read_manifest, tmp_path)
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from gpcjax import cli
 from gpcjax.errors import UserError
+from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import read_corrections, read_episodes
 from tests.report import synthetic
 
 ACTIVE = "sweep --env=cartpole --algo=gpc --error=0.1 --oracle=lqr --seeds=3 --episodes=3 --max-capacity=64 --jobs=1"

@@ -11,6 +11,7 @@ from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CREDIT, LEARNERS
 from gpcjax.registry import find
 from gpcjax.sweep.options import EXPERIMENT, OPTIONS, RUNNING, TUNING, VARIANTS, accept, parse
+from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec, as_dict, make_spec, read_toml, spec_of
 
 
@@ -19,7 +20,7 @@ def test_defaults():
         env="cartpole",
         algo=("gpc", "gpc-ns", "coach"),
         error=(0.0,),
-        seeds=100,
+        seeds=Seeds.of(100),
         episodes=30,
         oracle=("gpc",),
         delta=(0.05,),
@@ -71,7 +72,7 @@ def test_lists_keep_their_order_and_lose_repeats():
 def test_numpy_values_are_taken():
     spec = spec_of(env="cartpole", error=np.linspace(0, 0.2, 3), seeds=np.int64(3), delta=np.float64(0.1))
     assert spec == spec_of(env="cartpole", error=[0.0, 0.1, 0.2], seeds=3, delta=0.1)
-    assert type(spec.seeds) is int
+    assert spec.seeds == Seeds(((0, 2),)) and as_dict(spec)["seeds"] == 3
     assert type(spec.error[1]) is float
 
 
@@ -144,7 +145,8 @@ REFUSED = [
     ({"env": "cartpole", "seeds": 0}, "seeds 0: give a whole number from 1 to 1,000,000"),
     ({"env": "cartpole", "seeds": 2.0}, "seeds 2.0: give a whole number"),
     ({"env": "cartpole", "seeds": 10**30}, "seeds 1000000000000000000000000000000: give a whole number"),
-    ({"env": "cartpole", "seeds": [3]}, "seeds [3]: give a whole number"),
+    ({"env": "cartpole", "seeds": [3, -1]}, "seeds [3, -1]: give a whole number"),
+    ({"env": "cartpole", "seeds": "9-3"}, "seeds '9-3': give a whole number"),
     ({"env": "cartpole", "episodes": -3}, "episodes -3: give a whole number"),
     ({"env": "cartpole", "delta": -1}, "delta -1: give a number of at least 0"),
     ({"env": "cartpole", "delta": 10**400}, "delta 1000000000"),

@@ -15,10 +15,11 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.sweep import store as store_module
+from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.runfolder import read_manifest, write_manifest
+from gpcjax.sweep.reading import read, read_corrections, read_episodes
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import Store, read_corrections, read_episodes
+from gpcjax.sweep.store import Store
 from tests import torture
 from tests.sweep.folders import begun, manifest_of
 from tests.sweep.pretended import rows
@@ -167,8 +168,8 @@ class TestReading:
             folder.mkdir()
             for cell in order:
                 filled(folder, cells=[cell])
-        for read in (read_episodes, read_corrections):
-            pd.testing.assert_frame_equal(read(one), read(other))
+        for frame_of in (read_episodes, read_corrections):
+            pd.testing.assert_frame_equal(frame_of(one), frame_of(other))
 
     def test_load(self, tmp_path):
         with pytest.raises(ValueError, match="no such folder"):
@@ -262,7 +263,7 @@ class TestDamage:
         for folder in ("episodes", "corrections"):
             shutil.copytree(other / folder, one / folder, dirs_exist_ok=True)
         with pytest.warns(UserWarning, match=r"3 cells are there twice, the rows of the first part count"):
-            got = store_module.read(one)
+            got = read(one)
         for frame, whole in zip(got, expected, strict=False):
             pd.testing.assert_frame_equal(frame, whole)
 
@@ -326,8 +327,8 @@ class TestFormat2:
         before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
         store.append([rows(missing)])
         assert opened(out).missing(plan(SPEC)) == []
-        for read in (read_episodes, read_corrections):
-            pd.testing.assert_frame_equal(read(out), read(whole))
+        for frame_of in (read_episodes, read_corrections):
+            pd.testing.assert_frame_equal(frame_of(out), frame_of(whole))
         assert all(path.read_bytes() == content for path, content in before.items())
 
     def test_once_gone_on_its_manifest_is_checked(self, old):
@@ -495,3 +496,63 @@ def _of(kind, **fields):
     for name, value in fields.items():
         object.__setattr__(made, name, value)
     return made
+
+
+class TestTogether:
+    """Small parts become one as they come."""
+
+    CELLS = plan(spec_of(env="cartpole", algo="gpc", error=[0, 0.1], seeds=40, episodes=3, oracle="lqr"))
+    SPEC = spec_of(env="cartpole", algo="gpc", error=[0, 0.1], seeds=40, episodes=3, oracle="lqr")
+
+    def one_by_one(self, out, cells=None):
+        store = opened(out, self.SPEC)
+        for cell in self.CELLS if cells is None else cells:
+            store.append([rows(cell)])
+        return store
+
+    def test_the_rows_stay_as_they_are(self, tmp_path):
+        self.one_by_one(tmp_path / "many")
+        store = opened(tmp_path / "one", self.SPEC)
+        store.append([rows(cell) for cell in self.CELLS])
+        for read_some in (read_episodes, read_corrections):
+            pd.testing.assert_frame_equal(read_some(tmp_path / "many"), read_some(tmp_path / "one"))
+        for folder in ("episodes", "corrections"):
+            assert len(list((tmp_path / "many" / folder).iterdir())) < 2 * store_module.TOGETHER
+        assert opened(tmp_path / "many", self.SPEC).missing(self.CELLS) == []
+
+    def test_those_of_earlier_sweeps_count_too(self, tmp_path):
+        for cell in self.CELLS[: store_module.TOGETHER]:
+            store = opened(tmp_path, self.SPEC)
+            store.missing(self.CELLS)
+            store.append([rows(cell)])
+        assert len(list((tmp_path / "episodes").iterdir())) == 1
+
+    @pytest.mark.parametrize("step", ["before", "episodes gone", "one gone"])
+    def test_a_kill_in_between_costs_nothing(self, tmp_path, monkeypatch, step):
+        def killed(self, names):
+            for name in {"before": [], "episodes gone": names, "one gone": names[:1]}[step]:
+                (tmp_path / "episodes" / name).unlink()
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(Store, "_remove", killed)
+            self.one_by_one(tmp_path)
+        stored = self.CELLS[: store_module.TOGETHER]
+        frame = read_episodes(tmp_path)
+        assert len(frame) == 3 * len(stored) and not frame.duplicated(["error", "seed", "episode"]).any()
+        said = []
+        store = Store(tmp_path, manifest_of(self.SPEC), say=said.append)
+        assert store.missing(stored) == [] and store.cells == len(stored) and not said
+        for folder in ("episodes", "corrections"):
+            assert len(list((tmp_path / folder).iterdir())) == 1
+        pd.testing.assert_frame_equal(read_episodes(tmp_path), frame)
+
+    def test_a_damaged_whole_does_not_hide_what_it_was_made_of(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(Store, "_remove", lambda self, names: None)
+        self.one_by_one(tmp_path, self.CELLS[: store_module.TOGETHER])
+        *_, whole = sorted((tmp_path / "episodes").iterdir())
+        data = bytearray(whole.read_bytes())
+        data[100] ^= 1
+        whole.write_bytes(data)
+        with pytest.warns(UserWarning, match=r"1 damaged part left out"):
+            assert len(read_episodes(tmp_path)) == 3 * store_module.TOGETHER

@@ -23,9 +23,9 @@ from gpcjax.sweep import run as run_module
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.store import read_corrections, read_episodes
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = {

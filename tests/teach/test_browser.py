@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gpcjax.sweep.store import read_episodes
+from gpcjax.sweep.reading import read_episodes
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")

@@ -25,8 +25,8 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.plan import Cell, program_of
 from gpcjax.sweep.progress import COMPILES_FROM, Work
+from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.sharing import Sharing
-from gpcjax.sweep.store import CellRows
 
 ASKS = ("ready", "next")
 """The first words of messages that are answered."""

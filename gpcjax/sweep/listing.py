@@ -1,0 +1,176 @@
+"""What run folders are there, and how far each of them is. Loads no jax."""
+
+import os
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gpcjax.describe import TaskSpec
+from gpcjax.errors import UserError
+from gpcjax.registry import built_in, find
+from gpcjax.sweep.growth import requests
+from gpcjax.sweep.layout import DAMAGED, EPISODES, MANIFEST, reason
+from gpcjax.sweep.lock import holder
+from gpcjax.sweep.manifest import DamagedManifest, read_manifest
+from gpcjax.sweep.options import OPTIONS
+from gpcjax.sweep.parts import Found, names_in, whole_parts
+from gpcjax.sweep.rows import IDENTITY, cells_of
+
+DEPTH = 3
+"""Folders below the given one in which runs are looked for: a reproduction has a folder for each of its sweeps."""
+
+COMPLETE, GOING_ON, INTERRUPTED, STRANGE = "complete", "going on", "interrupted", "not readable"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run folder, as its manifest tells.
+
+    | Field       | Meaning                                                                      |
+    |-------------|------------------------------------------------------------------------------|
+    | `path`      | of the folder                                                                |
+    | `state`     | "complete", "going on", "interrupted" or "not readable"                      |
+    | `note`      | who writes there, or what is wrong with the manifest                          |
+    | `cells`     | runs that were asked for                                                     |
+    | `finished`  | those of them that are stored; None if the manifest does not say             |
+    | `changed`   | when the manifest was last written, in seconds since 1970                    |
+    | `manifest`  | all of it; empty where it cannot be read                                     |
+    """
+
+    path: Path
+    state: str
+    note: str
+    cells: int
+    finished: int | None
+    changed: float
+    manifest: Mapping[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs; a path as text."""
+        specification = self.manifest.get("specification", {})
+        return {
+            "folder": str(self.path),
+            "state": self.state,
+            "note": self.note,
+            "cells": self.cells,
+            "finished": self.finished,
+            "changed": self.changed,
+            **{
+                name: specification.get(name)
+                for name in ("env", "algo", "oracle", "error", "seeds", "episodes")
+            },
+            "wall_time_s": self.manifest.get("wall_time_s"),
+        }
+
+
+def run_folders(below: Path) -> Iterator[RunFolder]:
+    """The run folders in a folder, at most `DEPTH` deep, in the order of their names.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    if not below.is_dir():
+        raise UserError(f"{below}: no such folder, give one that holds run folders (without one: runs)")
+    for path in _with_manifest(below, DEPTH):
+        yield look(path)
+
+
+def look(path: Path) -> RunFolder:
+    """One run folder. Never raises for what is in its manifest.
+
+    Raises:
+        UserError: there is no manifest.
+    """
+    try:
+        changed = (path / MANIFEST).stat().st_mtime
+    except OSError as error:
+        raise UserError(f"{path}: this is no run folder ({MANIFEST}: {reason(error)})") from None
+    writer = holder(path)
+    try:
+        manifest = read_manifest(path)
+    except UserError as error:
+        what = error.what if isinstance(error, DamagedManifest) else str(error)
+        return RunFolder(path, STRANGE, what, 0, None, changed, {})
+    state = GOING_ON if writer is not None else COMPLETE if manifest["complete"] else INTERRUPTED
+    finished = manifest["cells"] if manifest["complete"] else manifest.get("finished")
+    return RunFolder(path, state, writer or "", manifest["cells"], finished, changed, manifest)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What lies in a run folder: `size` in bytes, and what was found to be not whole or not its own."""
+
+    finished: int
+    parts: int
+    size: int
+    damaged: tuple[str, ...]
+    foreign: tuple[str, ...]
+    set_aside: int
+    """Files that an earlier sweep found to be damaged."""
+
+
+def contents(folder: RunFolder) -> Contents:
+    """Reads all keys of a folder and checks all sums."""
+    found, keys = Found(), [*IDENTITY, *folder.manifest.get("varying", ())]
+    stored: set[tuple[Any, ...]] = set()
+    parts = 0
+    if folder.manifest:
+        for part in whole_parts(folder.path, folder.manifest, found, {EPISODES: keys}):
+            stored |= cells_of(part.tables[EPISODES], keys)
+            parts += 1
+    files = [path for path in folder.path.rglob("*") if path.is_file()]
+    return Contents(
+        finished=len(stored),
+        parts=parts,
+        size=sum(path.stat().st_size for path in files),
+        damaged=tuple(f"{path}: {what}" for path, what in found.damaged.items()),
+        foreign=tuple(found.foreign),
+        set_aside=sum(path.parts[len(folder.path.parts)].startswith(DAMAGED) for path in files),
+    )
+
+
+def commands(manifest: Mapping[str, Any], out: Path) -> list[str]:
+    """What was typed, or does the same: a line for each time that something was asked of the folder."""
+    return [_command(each["specification"], out) for each in requests(manifest)]
+
+
+def _command(specification: Mapping[str, Any], out: Path) -> str:
+    words = ["gpcjax", "sweep"]
+    for name, value in {**specification, **specification.get("hyperparameters", {})}.items():
+        option = OPTIONS.get(name)
+        if name == "hyperparameters" or value == [] or value is None:
+            continue
+        if option is None:
+            words += ["--set", f"{name}={_written(value)}"]
+        elif isinstance(value, bool):
+            words += [] if value == option.default else [f"--{'' if value else 'no-'}{option.flag[2:]}"]
+        elif name == "env" or _written(value) != _written(_usual(name, specification["env"])):
+            words += [option.flag, _written(value)]
+    return shlex.join([*words, "--out", str(out)])
+
+
+def _usual(name: str, env: str) -> Any:
+    """What holds if nobody gives a value, as far as it is known without anybody's own module."""
+    task = find("task", env) if env in built_in("task") else TaskSpec(env, env)
+    if name in ("episodes", "max_capacity") and (env in built_in("task") or name == "max_capacity"):
+        return getattr(task, name)
+    return OPTIONS[name].default
+
+
+def _written(value: Any) -> str:
+    """As a flag has it."""
+    if isinstance(value, list | tuple):
+        return ",".join(map(_written, value))
+    return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
+
+
+def _with_manifest(folder: Path, depth: int) -> Iterator[Path]:
+    if (folder / MANIFEST).is_file():
+        yield folder
+        return
+    if depth:
+        for name in names_in(folder):
+            if not name.startswith(".") and os.path.isdir(folder / name):
+                yield from _with_manifest(folder / name, depth - 1)

@@ -1,0 +1,208 @@
+"""Run folders that are asked for more, with workers that are only pretended."""
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+
+from gpcjax.errors import UserError
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.layout import GROWN
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import load, read_corrections, read_episodes
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.runfolder import check_sweep
+from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.pretended import Pretended
+
+BASE = {"env": "cartpole", "algo": ["gpc", "coach"], "error": 0.1, "seeds": 2, "episodes": 3, "oracle": "lqr"}
+KEYS = ["algo", "oracle", "error", "seed", "episode"]
+PRESET = 1.0
+"""The policy's length-scale of GPC on cart-pole (Table 5.2)."""
+
+
+@pytest.fixture
+def pretended(monkeypatch):
+    pretended = Pretended()
+    monkeypatch.setattr(run_module, "Processes", pretended)
+    return pretended
+
+
+def ran(pretended):
+    """The cells of the last sweep."""
+    return pretended.calls[-1][0]
+
+
+def grow(out, pretended, *requests):
+    """The folder after each request, and what each of them ran."""
+    counts = []
+    for request in requests:
+        before = len(pretended.calls)
+        sweep(out, **(BASE | request))
+        counts.append(len(ran(pretended)) if len(pretended.calls) > before else 0)
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("requests", "counts", "seeds"),
+    [
+        ([{}, {"seeds": 5}, {"seeds": 3}], [4, 6, 0], 5),
+        ([{}, {"seeds": "10-12"}, {"seeds": "11-14"}], [4, 6, 4], "0-1,10-14"),
+        ([{"seeds": "1-2"}, {"seeds": 1}], [4, 2], 3),
+        ([{}, {"error": [0.1, 0.2]}, {"error": [0, 0.2]}], [4, 4, 4], 2),
+        ([{"algo": "coach"}, {"algo": "gpc-ns"}, {"algo": ["gpc", "coach"]}], [2, 2, 2], 2),
+        ([{}, {"oracle": ["lqr", "gpc"]}], [4, 4], 2),
+        ([{}, {"delta": [0.05, 0.1]}, {"rate": [0.05, 0.5]}], [4, 4, 4], 2),
+        ([{}, {"error": 0.3, "seeds": "7-7"}], [4, 2], "0-1,7"),
+    ],
+    ids=["seeds", "range", "before", "errors", "learners", "oracles", "teacher", "corner"],
+)
+def test_what_is_missing_runs_and_all_is_read(tmp_path, pretended, requests, counts, seeds):
+    assert grow(tmp_path, pretended, *requests) == counts
+    frame, manifest = read_episodes(tmp_path), read_manifest(tmp_path)
+    keys = [*KEYS, *manifest["varying"]]
+    assert len(frame) == 3 * sum(counts) and not frame.duplicated(keys).any()
+    assert frame[keys].notna().all().all()
+    assert manifest["complete"] and manifest["cells"] == sum(counts)
+    assert manifest["specification"]["seeds"] == seeds
+    assert len(manifest["asked"]) == sum(map(bool, counts)) and manifest["format"] == GROWN
+    assert load(tmp_path).equals(frame)
+
+
+def test_the_rows_are_those_of_one_sweep(tmp_path, pretended):
+    grow(
+        tmp_path / "grown",
+        pretended,
+        {"seeds": 1, "delta": 0.1},
+        {"delta": [0.05, 0.1], "policy_variance": [0.1, 0.2]},
+    )
+    grow(tmp_path / "grown", pretended, {"delta": 0.05, "policy_variance": [0.2, 0.3]})
+    sweep(tmp_path / "whole", **(BASE | {"delta": [0.05, 0.1], "policy_variance": [0.1, 0.2, 0.3]}))
+    for read in (read_episodes, read_corrections):
+        grown, whole = read(tmp_path / "grown"), read(tmp_path / "whole")
+        both = whole.merge(grown, how="left", indicator=True)
+        missing = both[both["_merge"] != "both"]
+        # 0.3 was asked with delta 0.05 only; the first request had the usual variance, which the second has not.
+        assert set(zip(missing["policy_variance"], missing["delta"], strict=True)) == {(0.3, 0.1)}
+
+
+def test_the_usual_value_is_told_from_given_ones(tmp_path, pretended):
+    counts = grow(
+        tmp_path, pretended, {"algo": "gpc"}, {"policy_length_scale": [0.2, PRESET], "algo": "gpc"},
+        {"algo": ["gpc", "coach"]},
+    )  # fmt: skip
+    assert counts == [2, 2, 2]  # what is usual is there already
+    frame = read_episodes(tmp_path)
+    values = frame.groupby("algo")["policy_length_scale"].agg(lambda each: sorted(set(each)))
+    assert values["gpc"] == [0.2, PRESET] and frame[frame.algo == "coach"]["policy_length_scale"].isna().all()
+    corrections = read_corrections(tmp_path)
+    assert set(corrections[corrections.algo == "gpc"]["policy_length_scale"]) == {0.2, PRESET}
+
+
+def test_a_setting_that_nobody_knows_is_refused(tmp_path, pretended):
+    sweep(tmp_path, **BASE)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(UserError, match=r"static_rate was not given to gpc in one of the two"):
+        sweep(tmp_path, **(BASE | {"static_rate": 0.1}))
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"episodes": 4}, "episodes 3, not 4"),
+        ({"sparsify": False}, "sparsify True, not False"),
+        ({"max_capacity": 64, "on_full": "drop"}, "on_full 'error', not 'drop', max_capacity 1024, not 64"),
+        ({"rate_schedule": [0.1, 0.2]}, r"rate_schedule as usual, not \[0.1, 0.2\]"),
+        ({"env": "pendulum", "oracle": "energy", "algo": "coach"}, "env 'cartpole', not 'pendulum'"),
+    ],
+)
+def test_what_contradicts_is_refused_with_the_difference(tmp_path, pretended, change, what):
+    sweep(tmp_path, **BASE)
+    with pytest.raises(UserError, match=rf"it holds another specification \({what}"):
+        check_sweep(tmp_path, spec_of(**(BASE | change)))
+
+
+def test_another_version_is_refused(tmp_path, pretended, monkeypatch):
+    sweep(tmp_path, **BASE)
+    versions = run_module.versions()
+    monkeypatch.setattr(run_module, "versions", lambda: {**versions, "jax": "99"})
+    with pytest.raises(UserError, match=r"it was begun with jax .*, this is 99"):
+        sweep(tmp_path, **(BASE | {"seeds": 3}))
+
+
+def test_an_earlier_request_that_was_interrupted_is_not_complete(tmp_path, monkeypatch):
+    failing = Pretended(fails_after=1)
+    monkeypatch.setattr(run_module, "Processes", failing)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path, **BASE)
+    monkeypatch.setattr(run_module, "Processes", Pretended())
+    sweep(tmp_path, **(BASE | {"error": 0.2}))
+    assert not read_manifest(tmp_path)["complete"] and len(load(tmp_path)) == 3 * 5
+    sweep(tmp_path, **BASE)
+    assert read_manifest(tmp_path)["complete"] and len(load(tmp_path)) == 3 * 8
+
+
+@pytest.mark.parametrize("asked", [0, 1], ids=["by the first request", "by the second"])
+def test_a_lost_manifest_is_made_anew_from_the_parts(tmp_path, pretended, asked):
+    requests = [{}, {"seeds": "5-6", "error": 0.2}]
+    grow(tmp_path, pretended, *requests)
+    before, rows = read_manifest(tmp_path), read_episodes(tmp_path)
+    (tmp_path / "manifest.json").unlink()
+    assert grow(tmp_path, pretended, requests[asked]) == [0]
+    after = read_manifest(tmp_path)
+    if asked == 1:  # parts that were written before the second request know nothing of it
+        assert after["cells"] == before["cells"] and after["specification"]["seeds"] == "0-1,5-6"
+        pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+    assert grow(tmp_path, pretended, *requests[asked:]) == [0] * (2 - asked)
+    pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+
+
+def test_parts_of_a_sweep_that_was_not_asked_here_stay_foreign(tmp_path, pretended):
+    grow(tmp_path / "one", pretended, {}, {"seeds": 3})
+    sweep(tmp_path / "other", **(BASE | {"error": 0.5}))
+    rows = read_episodes(tmp_path / "one")
+    for folder in ("episodes", "corrections"):
+        shutil.copytree(tmp_path / "other" / folder, tmp_path / "one" / folder, dirs_exist_ok=True)
+    with pytest.warns(UserWarning, match=r"not rows of this sweep"):
+        pd.testing.assert_frame_equal(read_episodes(tmp_path / "one"), rows)
+
+
+def test_a_folder_that_grew_is_one_line(tmp_path, pretended, capsys):
+    grow(tmp_path, pretended, {}, {"seeds": 3})
+    assert f"gpcjax: {tmp_path}: it grows by 2 to 6 cells\n" in capsys.readouterr().err
+    assert json.loads((tmp_path / "manifest.json").read_text())["cells"] == 6
+
+
+def test_cells_are_those_of_the_request(tmp_path, pretended):
+    grow(tmp_path, pretended, {}, {"seeds": "100-199"})
+    assert ran(pretended) == plan(spec_of(**(BASE | {"seeds": range(100, 200)})))
+
+
+@pytest.mark.parametrize(
+    ("value", "spans", "as_json"),
+    [
+        (3, [(0, 2)], 3),
+        ("100-199", [(100, 199)], "100-199"),
+        ("3, 7", [(3, 3), (7, 7)], "3,7"),
+        ("0-2,3,4", [(0, 4)], 5),
+        ([5, 1, 0], [(0, 1), (5, 5)], "0-1,5"),
+        ("5-5", [(5, 5)], "5-5"),
+        (range(10, 12), [(10, 11)], "10-11"),
+    ],
+)
+def test_seeds(value, spans, as_json):
+    seeds = Seeds.of(value)
+    assert seeds.spans == tuple(spans) and seeds.as_json() == as_json
+    assert Seeds.of(as_json) == seeds and list(seeds) == sorted(set(seeds)) and len(seeds) == len(list(seeds))
+    assert all(seed in seeds for seed in seeds) and spans[-1][1] + 1 not in seeds
+
+
+@pytest.mark.parametrize(
+    "value", [0, "", "9-3", "1-", "-1", "0-1000000", 2.0, True, [1, -1], [0.5], "٣", None, {}]
+)
+def test_what_are_no_seeds(value):
+    assert Seeds.of(value) is None

@@ -1,0 +1,164 @@
+"""What `gpcjax runs` and `gpcjax show` tell of run folders."""
+
+import json
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from gpcjax import cli
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.listing import commands, contents, look, run_folders
+from gpcjax.sweep.lock import held, holder
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.folders import begun, manifest_of
+from tests.sweep.pretended import Pretended
+
+SETTINGS = {
+    "env": "cartpole",
+    "algo": ["gpc", "coach"],
+    "error": [0, 0.1],
+    "seeds": 2,
+    "episodes": 3,
+    "oracle": "lqr",
+}
+
+
+@pytest.fixture
+def pretended(monkeypatch):
+    pretended = Pretended()
+    monkeypatch.setattr(run_module, "Processes", pretended)
+    return pretended
+
+
+@pytest.fixture
+def several(tmp_path, monkeypatch, pretended):
+    """A complete folder, an interrupted one below another folder, one whose manifest is damaged, and no run folder."""
+    sweep(tmp_path / "complete", **SETTINGS)
+    monkeypatch.setattr(run_module, "Processes", Pretended(fails_after=3))
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path / "all" / "interrupted", **SETTINGS)
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "manifest.json").write_text("{")
+    (tmp_path / "notes").mkdir()
+    return tmp_path
+
+
+def test_each_folder_has_its_state(several):
+    found = {str(each.path.relative_to(several)): each for each in run_folders(several)}
+    assert {name: each.state for name, each in found.items()} == {
+        "complete": "complete",
+        "all/interrupted": "interrupted",
+        "damaged": "not readable",
+    }
+    assert (found["complete"].finished, found["complete"].cells) == (8, 8)
+    assert (found["all/interrupted"].finished, found["all/interrupted"].cells) == (3, 8)
+
+
+def test_who_writes_there_is_told(several):
+    out = several / "all" / "interrupted"
+    with held(out):
+        seen = []
+        looking = threading.Thread(target=lambda: seen.append(look(out)))
+        looking.start()
+        looking.join()
+    (folder,) = seen
+    assert folder.state == "going on" and folder.note.startswith("process ")
+    assert look(out).state == "interrupted" and holder(out) is None
+
+
+def test_looking_does_not_get_in_the_way(several):
+    """Somebody looks all the time while another process takes the lock."""
+    out, stop = several / "complete", threading.Event()
+
+    def look_on():
+        while not stop.is_set():
+            holder(out)
+
+    looking = threading.Thread(target=look_on)
+    looking.start()
+    try:
+        code = (
+            "import sys, pathlib\nfrom gpcjax.sweep.lock import held\n"
+            "for _ in range(200):\n    with held(pathlib.Path(sys.argv[1])): pass\n"
+        )
+        done = subprocess.run([sys.executable, "-c", code, str(out)], capture_output=True, text=True)
+    finally:
+        stop.set()
+        looking.join()
+    assert done.returncode == 0, done.stderr
+
+
+def test_contents_are_checked(several):
+    out = several / "complete"
+    assert contents(look(out)).finished == 8
+    (part,) = (out / "episodes").iterdir()
+    data = bytearray(part.read_bytes())
+    data[50] ^= 1
+    part.write_bytes(data)
+    (out / "episodes" / "mine.parquet").write_bytes(b"x")
+    found = contents(look(out))
+    assert found.finished == 0 and found.foreign == ("episodes/mine.parquet",)
+    assert found.damaged == (f"episodes/{part.name}: its checksum differs",)
+
+
+def test_the_command_makes_the_same(tmp_path):
+    """What is said to have made a folder asks for the same specification, also for what has no flag."""
+    specs = [
+        spec_of(**SETTINGS),
+        spec_of(
+            env="pendulum", algo="gpc", seeds="3-5", policy_variance=[0.1, 0.25], sparsify=False, rate=1e-7
+        ),
+        spec_of(env="cartpole", rate_schedule=[0.5, 0.1], algo="coach", oracle="lqr", error=0.3, delta=0.0),
+    ]
+    from gpcjax import cli_options
+    from gpcjax.sweep.spec import make_spec
+
+    for spec in specs:
+        (line,) = commands(manifest_of(spec), tmp_path / "it's here")
+        import shlex
+
+        arguments = cli_options.parse_words(shlex.split(line)[1:])
+        given = cli_options.settings(arguments)
+        assert given.pop("out").value == str(tmp_path / "it's here")
+        assert make_spec(given) == spec
+
+
+def test_runs(several, capsys):
+    assert cli.main(["runs", str(several)]) == 0
+    told = capsys.readouterr().out
+    assert "all/interrupted" in told and "3/8" in told and "GPC, COACH" in told and "not readable" in told
+    assert cli.main(["runs", str(several), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["state"] for line in lines} == {"complete", "interrupted", "not readable"}
+    assert cli.main(["runs", str(several / "nowhere")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert cli.main(["runs", str(several / "notes")]) == 0
+    assert "it holds no run folders" in capsys.readouterr().out
+
+
+def test_show(several, capsys):
+    assert cli.main(["show", str(several / "all" / "interrupted")]) == 0
+    told = capsys.readouterr().out
+    assert "3 of 8" in told and "goes on with" in told and "gpcjax sweep --env cartpole" in told
+    assert cli.main(["show", str(several / "complete"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["finished"] == 8
+    assert cli.main(["show", str(several / "damaged")]) == 0
+    assert "not readable" in capsys.readouterr().out
+    assert cli.main(["show", str(several / "notes")]) == 2
+    assert "this is no run folder" in capsys.readouterr().err
+
+
+def test_a_folder_of_an_unknown_learner_is_listed(tmp_path):
+    """Nothing of somebody's own is imported for it."""
+    manifest = manifest_of(spec_of(**SETTINGS))
+    specification = {**manifest["specification"], "algo": ["nowhere:Learner"], "env": "nowhere:Task"}
+    begun(tmp_path, spec_of(**SETTINGS))
+    from gpcjax.sweep.manifest import write_manifest
+    from gpcjax.sweep.plan import hash_of
+
+    write_manifest(tmp_path, {**manifest, "specification": specification, "hash": hash_of(specification)})
+    folder = look(tmp_path)
+    assert folder.state == "interrupted" and folder.as_json()["algo"] == ["nowhere:Learner"]
