@@ -19,7 +19,7 @@
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
 #:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
-#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, bench, lock
+#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, bench, lock; for compare the folders
 #:   PYTHON    what .venv is made with (python3)
 #:
 
@@ -40,6 +40,7 @@ name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
 TAKES_report := OUT
+TAKES_compare := OUT ARGS
 TAKES_oracles := ENV
 TAKES_reproduce := QUICK ONLY OUT JOBS
 TAKES_publish := OUT JOBS
@@ -79,7 +80,7 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid report reproduce publish oracles teach bench bench-teach test torture lint format lock clean
+.PHONY: help sweep grid report compare reproduce publish oracles teach bench bench-teach test torture lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -95,6 +96,9 @@ report: $(READY) ## draw a run folder's table and figures again (OUT=)
 
 reproduce: $(READY) ## run every experiment of the thesis and report on its claims
 	$(GPCJAX) reproduce $(REPRODUCTION)
+
+compare: $(READY) ## compare run folders, run by run of the same seed (ARGS='A B', OUT=)
+	$(call with_args,$(GPCJAX) compare $(call flag,OUT:out))
 
 oracles: $(READY) ## learn the shipped oracles again (ENV=, or each)
 	$(GPCJAX) oracles $(call flag,ENV:env)

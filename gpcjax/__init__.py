@@ -24,6 +24,7 @@ _PUBLIC = {
     "Control": "gpcjax.describe:Control",
     "View": "gpcjax.describe:View",
     "brax_env": "gpcjax.envs.brax_adapter:brax_env",
+    "compare": "gpcjax.report.compare:compare",
     "draw_report": "gpcjax.report.run:draw",
     "env_names": "gpcjax.envs.registry:env_names",
     "evaluate": "gpcjax.engine.evaluate:evaluate",
@@ -62,6 +63,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "load_learner",
     "run_sweep",
     "draw_report",
+    "compare",
     "load",
     "load_corrections",
     "load_policies",
@@ -105,6 +107,7 @@ if TYPE_CHECKING:
     from gpcjax.policies.base import Controller
     from gpcjax.policies.saved import load_policy
     from gpcjax.registry import learner_names, teacher_names
+    from gpcjax.report.compare import compare
     from gpcjax.report.run import draw as draw_report
     from gpcjax.sweep.build import make_oracle
     from gpcjax.sweep.learned import load_policies, load_states

@@ -153,6 +153,8 @@ def _run(words: Sequence[str]) -> int:
             return _sweep(arguments)
         case "report":
             return _report(Path(arguments.out))
+        case "compare":
+            return _compare(arguments)
         case "runs":
             return _runs(Path(os.path.expanduser(arguments.folder or "runs")), arguments.json)
         case "show":
@@ -246,16 +248,36 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
 
 def _report(out: Path) -> int:
     check_report(out)
-    from rich.console import Console
-
     from gpcjax.report.run import draw
     from gpcjax.report.terminal import render
-    from gpcjax.report.words import printable
 
     summary = draw(out)
+    return _print(render(summary), out, summary.files)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    given = None if arguments.out is None else parse(OPTIONS["out"], arguments.out, "--out")
+    folders = [Path(os.path.expanduser(folder)) for folder in arguments.folder]
+    for each in folders:
+        check_report(each)
+    from gpcjax.report.compare import compare, usual_out
+    from gpcjax.report.compare_page import terminal
+
+    comparison = compare(*folders, by=arguments.by)
+    names = [folder.name for folder in comparison.folders]
+    out = usual_out(names) if given is None else Path(os.path.expanduser(given))
+    return _print(terminal(comparison), out, comparison.save(out))
+
+
+def _print(rendered: object, out: Path, files: Sequence[Path]) -> int:
+    """A report at its end: what it says, and the files that hold it."""
+    from rich.console import Console
+
+    from gpcjax.report.words import printable
+
     width = None if sys.stdout.isatty() else 160  # a file or pipe is no narrow terminal
-    Console(width=width).print(render(summary))
-    print(printable(f"{out}: {', '.join(path.name for path in summary.files)}", sys.stdout.encoding))
+    Console(width=width).print(rendered)
+    print(printable(f"{out}: {', '.join(path.name for path in files)}", sys.stdout.encoding))
     return 0
 
 

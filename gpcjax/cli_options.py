@@ -70,6 +70,8 @@ class Command:
     word_text: str = ""
     needed: bool = False
     """Whether the word must be given."""
+    several: bool = False
+    """Whether it may be given several times; its value is then the list of all."""
 
     @property
     def flags(self) -> tuple[Flag, ...]:
@@ -191,6 +193,27 @@ def _teach() -> Command:
     )
 
 
+def _compare() -> Command:
+    flags = (
+        Flag(
+            "--by",
+            "settings in which runs may differ that have no partner of the same settings (default: the one in which "
+            "the folders differ, if it is one and has one value in each)",
+            "A,B,...",
+            "names of settings",
+        ),
+        Flag("--out", f"folder of the comparison ({_FOLDER}; default runs/compare-NAMES)", "OUT", _FOLDER),
+    )
+    return Command(
+        _TEXTS["compare"],
+        (("", flags),),
+        word="FOLDER",
+        word_text="run folders of one task, two or more",
+        needed=True,
+        several=True,
+    )
+
+
 SEED = Numbers(0, 2**31 - 1, whole=True)
 REPEAT = Numbers(1, 50)
 SPEED = Numbers(0.1, 2.0)
@@ -201,6 +224,7 @@ _TEXTS = {
     "sweep": "teach every combination of learner, error rate and seed, then report",
     "grid": "the same over lists of hyperparameters, with a heatmap",
     "report": "draw a run folder's table and figures again",
+    "compare": "compare run folders, run by run of the same seed",
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
@@ -214,6 +238,7 @@ COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
     "report": Command(_TEXTS["report"], word="OUT", word_text="the run folder", needed=True),
+    "compare": _compare(),
     "oracles": Command(
         _TEXTS["oracles"],
         (("", (Flag("--env", f"{_ENVS}, comma list (default: each)", "ENV", _ENVS),)),),
@@ -287,7 +312,7 @@ def _parsers() -> dict[str, argparse.ArgumentParser]:
         usage = f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]" if name in ("sweep", "grid") else None
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", usage=usage)
         if command.word:
-            nargs = None if command.needed else "?"
+            nargs = "+" if command.several else None if command.needed else "?"
             sub.add_argument(command.word.lower(), nargs=nargs, metavar=command.word, help=command.word_text)
         for title, flags in command.groups:
             group = sub.add_argument_group(title) if title else sub
@@ -360,11 +385,15 @@ def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | 
         if word == "--" and not only_words:
             only_words = True
         elif only_words or not word.startswith("-") or word == "-":
-            if not command.word or command.word.lower() in given:
+            if not command.word or (command.word.lower() in given and not command.several):
                 raise UserError(f"{shown(word)} is one value too many: see gpcjax {name} --help")
             if not word.strip():
                 raise UserError(f"{command.word} {shown(word)}: an empty value, give {command.word_text}")
-            keep(command.word.lower(), shown(word), word)
+            if command.several:
+                several.setdefault(command.word.lower(), []).append(word)
+                given.add(command.word.lower())
+            else:
+                keep(command.word.lower(), shown(word), word)
         else:
             said, equals, value = word.partition("=")
             if said not in meaning:
@@ -386,6 +415,7 @@ def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | 
                 several[flag.key].append(value)
             else:
                 keep(flag.key, said, value)
+    values |= several
     if command.needed and command.word.lower() not in given:
         raise UserError(f"{command.word} is missing: see gpcjax {name} --help")
     return values

@@ -187,7 +187,7 @@ def test_version(words, capsys):
 
 
 @pytest.mark.parametrize(
-    "words", [[], ["sweep"], ["grid"], ["report"], ["oracles"], ["reproduce"], ["version"]]
+    "words", [[], ["sweep"], ["grid"], ["report"], ["compare"], ["oracles"], ["reproduce"], ["version"]]
 )
 def test_help(words, capsys):
     with pytest.raises(SystemExit) as stop:
@@ -273,6 +273,10 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report .", "manifest.json: cannot be read (No such file or directory)"),
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
         ("report --out a", "'--out' is no flag: give --help"),
+        ("compare", "FOLDER is missing: see gpcjax compare --help"),
+        ("compare none other", "none: no such folder, give a folder that a sweep has made"),
+        ("compare a --by", "--by has no value: give names of settings"),
+        ("compare a --by x --by y", "--by is given twice: give it once"),
         (
             "oracles --env foo",
             f"--env 'foo': give {ENVS}",

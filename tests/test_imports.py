@@ -51,6 +51,7 @@ def test_importing_loads_nothing_heavy(code):
         ["sweep", "--env", "foo"],
         ["sweep", "sweeps/none.toml"],
         ["report", "/tmp/there-is-none"],
+        ["compare", "/tmp/there-is-none", "/tmp/nor-this"],
     ],
     ids=" ".join,
 )

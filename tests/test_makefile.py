@@ -74,6 +74,7 @@ def test_every_variable_becomes_its_flag(folder):
 
 def test_other_targets(folder):
     assert make(folder, "report", "OUT=runs/my run").returncode == 0
+    assert make(folder, "compare", "ARGS=runs/a 'runs/b c' --by algo", "OUT=c").returncode == 0
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
@@ -81,6 +82,7 @@ def test_other_targets(folder):
     assert make(folder, "bench-teach").returncode == 0
     assert called(folder) == [
         ["-m", "gpcjax", "report", "--", "runs/my run"],
+        ["-m", "gpcjax", "compare", "--out=c", "runs/a", "runs/b c", "--by", "algo"],
         ["-m", "gpcjax", "oracles"],
         ["-m", "gpcjax", "oracles", "--env=pendulum"],
         ["-m", "pytest", "-n", "2", "-k", "two words"],
@@ -233,7 +235,8 @@ def test_help_lists_every_target_and_variable(folder):
     listed = make(folder)
     assert listed.stdout == make(folder, "help").stdout
     targets = (
-        "help sweep grid report reproduce oracles teach bench bench-teach test torture lint format lock clean"
+        "help sweep grid report compare reproduce oracles teach bench bench-teach test torture lint format lock"
+        " clean"
     )
     for target in targets.split():
         assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)

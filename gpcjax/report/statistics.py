@@ -145,6 +145,30 @@ def paired_difference(first: Scores, second: Scores) -> tuple[Interval, int]:
     return mean_interval(differences[:, None]), len(differences)
 
 
+def student_p(values: Float[np.ndarray, "runs"]) -> float:
+    """Two-sided p of Student's t for a mean of zero; nan with fewer than two values or one that is not finite.
+
+    The bootstrap behind the intervals cannot tell a p below one in its resamples, which is too coarse for a family of
+    a hundred tests. Values that are all equal have p 0, or 1 if they are zero.
+    """
+    if len(values) < 2 or not np.isfinite(values).all():
+        return np.nan
+    if np.ptp(values) == 0:
+        return float(values[0] == 0)
+    scaled = values / np.abs(values).max()  # squares neither overflow nor vanish
+    error = scaled.std(ddof=1) / np.sqrt(len(values))
+    return float(2 * student.sf(abs(scaled.mean()) / error, len(values) - 1))
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Holm's adjusted p of a family: significant at a level where it is at most that level."""
+    order = np.argsort(p, kind="stable")
+    factors = len(p) - np.arange(len(p))
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate(np.asarray(p)[order] * factors), 1.0)
+    return adjusted.tolist()
+
+
 def first_crossing(curves: Float[np.ndarray, "runs episodes"], threshold: float) -> Float[np.ndarray, "runs"]:
     """The first episode (from 1) of each run with at least `threshold`; inf for none, nan if `threshold` is nan."""
     if np.isnan(threshold):

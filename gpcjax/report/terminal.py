@@ -1,7 +1,7 @@
 """How the terminal shows a summary."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from rich import box
@@ -28,8 +28,13 @@ def render(summary: Summary) -> RenderableType:
             f"{len(summary.differences)} paired differences between algorithms are in differences.csv."
         )
     sheets = tables.result_sheets(summary) + tables.point_sheets(summary) + differences
+    return laid_out(tables.warnings(summary), sheets, notes)
+
+
+def laid_out(warnings: Iterable[str], sheets: Iterable[Sheet], notes: Iterable[str]) -> RenderableType:
+    """Warnings, tables, and how to read them, on a stream of any encoding."""
     return Lines(
-        *(_Line(line, "bold red") for line in tables.warnings(summary)),
+        *(_Line(line, "bold red") for line in warnings),
         *(part for sheet in sheets for part in (Text(), _Fitted(sheet))),
         Text(),
         *(_Line(note, "dim") for note in notes),

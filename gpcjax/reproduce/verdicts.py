@@ -22,7 +22,7 @@ from scipy.stats import t as student
 
 from gpcjax.report import words
 from gpcjax.report.groups import CLOSED_GAP
-from gpcjax.report.statistics import LEVEL, Interval, mean_interval
+from gpcjax.report.statistics import LEVEL, Interval, holm, mean_interval
 from gpcjax.reproduce.measures import Measure
 
 ALIKE = 0.05
@@ -212,15 +212,6 @@ def p_value(values: Float[np.ndarray, " runs"], claimed: Claimed) -> float:
     holds = max(beyond(claimed.lower, 1), beyond(claimed.upper, -1))
     refuted = min(beyond(claimed.lower, -1), beyond(claimed.upper, 1))
     return min(1.0, 2 * min(holds, refuted))
-
-
-def holm(p: Sequence[float]) -> list[float]:
-    """Holm's adjusted p of a family: significant at a level where it is at most that level."""
-    order = np.argsort(p, kind="stable")
-    factors = len(p) - np.arange(len(p))
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.minimum(np.maximum.accumulate(np.asarray(p)[order] * factors), 1.0)
-    return adjusted.tolist()
 
 
 def corrected(claims: Sequence[Claim]) -> list[Claim]:

@@ -1,16 +1,18 @@
 import numpy as np
 import pytest
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, ttest_1samp
 
 from gpcjax.report import statistics
 from gpcjax.report.statistics import (
     Scores,
     best_and_tied,
     first_crossing,
+    holm,
     mean_band,
     mean_interval,
     median_interval,
     paired_difference,
+    student_p,
     walking_mean,
 )
 from tests.report.coverage import RETURNS, covered
@@ -201,3 +203,27 @@ def test_grid_without_runs_has_no_best():
     assert best_and_tied([])[0] is None
     best, tied = best_and_tied([scores(), scores()])
     assert best is None and not tied.any()
+
+
+def test_holm_by_hand():
+    """The example of Holm's step-down: factors 4, 3, 2, 1, never falling, at most 1."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.5, 0.9]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+class TestStudentsP:
+    @pytest.mark.parametrize("scale", [1e-170, 1.0, 1e170])
+    def test_that_of_scipy_whatever_the_unit(self, scale):
+        values = np.random.default_rng(4).normal(0.4, size=15)
+        expected = ttest_1samp(values, 0).pvalue
+        assert 0.01 < expected < 0.9
+        assert student_p(scale * values) == student_p(-scale * values) == pytest.approx(expected)
+
+    def test_equal_values_are_certain_or_say_nothing(self):
+        assert student_p(np.full(5, 0.1)) == 0.0
+        assert student_p(np.zeros(5)) == 1.0
+
+    @pytest.mark.parametrize("values", [[], [1.0], [1.0, np.nan, 2.0], [1.0, np.inf]])
+    def test_none_without_two_finite_values(self, values):
+        assert np.isnan(student_p(np.array(values)))

@@ -19,7 +19,6 @@ from gpcjax.reproduce.verdicts import (
     Claimed,
     corrected,
     counted,
-    holm,
     p_value,
 )
 from gpcjax.reproduce.verdicts import Test as Outcome
@@ -156,12 +155,6 @@ class TestPValue:
 
 
 class TestHolm:
-    def test_by_hand(self):
-        """The example of Holm's step-down: factors 4, 3, 2, 1, never falling, at most 1."""
-        assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-        assert holm([0.5, 0.9]) == [1.0, 1.0]
-        assert holm([]) == []
-
     def test_the_family_is_all_tests_of_a_part(self):
         """A weak verdict survives alone and not among others; a strong one does."""
         random = np.random.default_rng(1)
