@@ -143,6 +143,7 @@ import numpy as np
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.rows import CellRows
+time.sleep(0.7)
 parent.send(("ready",)); parent.recv()
 parent.send(("next",)); parent.recv()
 parent.send(("compiling", True)); time.sleep(1.2)
