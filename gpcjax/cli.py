@@ -152,7 +152,7 @@ def _run(words: Sequence[str]) -> int:
         case "sweep" | "grid":
             return _sweep(arguments)
         case "report":
-            return _report(Path(arguments.out))
+            return _report(Path(arguments.out), arguments.json)
         case "compare":
             return _compare(arguments)
         case "runs":
@@ -190,7 +190,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
-    running = Running(jobs, *_kept(given))
+    running = Running(jobs, arguments.json, *_kept(given))
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
     if arguments.dry_run:
@@ -204,6 +204,7 @@ class Running(NamedTuple):
     """How a sweep is run, beside what it is."""
 
     jobs: int
+    as_json: bool
     keeping: Keeping | None
     checkpoint: float
 
@@ -233,25 +234,42 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
 
 def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
     try:
+        from gpcjax.sweep.progress import Bar, JsonLines
         from gpcjax.sweep.run import run
 
         _note()
         with held(out):  # until the report is written, too
-            run(spec, out, running.jobs, keeping=running.keeping, checkpoint=running.checkpoint)
+            watcher = JsonLines if running.as_json else Bar
+            run(
+                spec,
+                out,
+                running.jobs,
+                keeping=running.keeping,
+                checkpoint=running.checkpoint,
+                watcher=watcher,
+            )
             (out / FAULT).unlink(missing_ok=True)
-            return _report(out)
+            return _report(out, running.as_json)
     except KeyboardInterrupt as stop:
         return _stopped(out, stop)
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
 
 
-def _report(out: Path) -> int:
+def _report(out: Path, as_json: bool) -> int:
     check_report(out)
     from gpcjax.report.run import draw
     from gpcjax.report.terminal import render
 
     summary = draw(out)
+    if as_json:
+        table = json.loads(summary.table().to_json(orient="records"))
+        print(
+            json.dumps(
+                {"event": "report", "out": str(out), "files": [*map(str, summary.files)], "rows": table}
+            )
+        )
+        return 0
     return _print(render(summary), out, summary.files)
 
 

@@ -118,10 +118,14 @@ DEFAULTS = {"grid": {"algo": ("gpc",)}}
 """Where a command has other defaults than the table of options."""
 
 
+_JSON = Flag("--json", "in lines of JSON, for programs")
+
+
 def _sweep(name: str) -> Command:
     switches = (
         Flag("--dry-run", "check all, say how many cells, run nothing"),
         Flag("--quick", "with the settings of the file's table [quick]"),
+        _JSON,
     )
     own = Flag(
         "--set",
@@ -233,11 +237,12 @@ _TEXTS = {
     "show": "say what a run folder holds, and check all of it",
     "version": "print the version",
 }
-_JSON = Flag("--json", "in lines of JSON, for programs")
 COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
-    "report": Command(_TEXTS["report"], word="OUT", word_text="the run folder", needed=True),
+    "report": Command(
+        _TEXTS["report"], (("", (_JSON,)),), word="OUT", word_text="the run folder", needed=True
+    ),
     "compare": _compare(),
     "oracles": Command(
         _TEXTS["oracles"],

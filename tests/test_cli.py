@@ -2,6 +2,7 @@
 
 import argparse
 import errno
+import json
 import os
 import subprocess
 import sys
@@ -9,11 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 
 import gpcjax
 from gpcjax import cli
+from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import specification_hash
+from gpcjax.sweep.progress import JsonLines
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.folders import begun
 
@@ -24,8 +28,9 @@ def calls(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     record = SimpleNamespace(run=[], drawn=[], built=[], fails=None)
 
-    def run(spec, out, jobs):
+    def run(spec, out, jobs, **options):
         record.run.append((spec, out, jobs))
+        record.options = options
         if record.fails:
             raise record.fails
         begun(out, spec)
@@ -36,7 +41,8 @@ def calls(monkeypatch, tmp_path):
 
     def draw(out):
         record.drawn.append(out)
-        return SimpleNamespace(files=(out / "summary.csv", out / "report.html"))
+        frame = pd.DataFrame({"algo": ["gpc"], "area": [1.5]})
+        return SimpleNamespace(files=(out / "summary.csv", out / "report.html"), table=lambda: frame)
 
     monkeypatch.setitem(sys.modules, "gpcjax.report.run", SimpleNamespace(draw=draw))
     monkeypatch.setitem(
@@ -272,7 +278,7 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
         ("report none", "none: no such folder, give a folder that a sweep has made"),
         ("report .", "manifest.json: cannot be read (No such file or directory)"),
         ("report a b", "'b' is one value too many: see gpcjax report --help"),
-        ("report --out a", "'--out' is no flag: give --help"),
+        ("report --out a", "'--out' is no flag: give --json, --help"),
         ("compare", "FOLDER is missing: see gpcjax compare --help"),
         ("compare none other", "none: no such folder, give a folder that a sweep has made"),
         ("compare a --by", "--by has no value: give names of settings"),
@@ -429,3 +435,24 @@ def test_argparse_gives_no_help_with_a_percent_sign():
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 command.format_help()
+
+
+def test_json_for_programs(calls, capsys):
+    assert (
+        cli.main("sweep --env cartpole --out here --json --keep states --keep-at 5 --checkpoint 0".split())
+        == 0
+    )
+    (line,) = capsys.readouterr().out.splitlines()
+    assert json.loads(line) == {
+        "event": "report",
+        "out": "here",
+        "files": ["here/summary.csv", "here/report.html"],
+        "rows": [{"algo": "gpc", "area": 1.5}],
+    }
+    assert calls.options == {
+        "keeping": Keeping("states", every=5),
+        "checkpoint": 0.0,
+        "watcher": JsonLines,
+    }
+    assert cli.main("report here --json".split()) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(line)

@@ -83,7 +83,7 @@ def compute_here() -> None:
 
 def _kept_programs(seconds: str) -> dict[str, str]:
     """Variables by which programs that took so long to compile are kept, where something can be."""
-    folder = _cache_folder()
+    folder = cache_folder()
     if _reason_against(folder):
         return {}
     return {
@@ -123,7 +123,7 @@ def notes() -> list[str]:
     others = {name: value for name, value in os.environ.items() if name.startswith(_NOTEWORTHY)}
     ignored = sorted(name for name, value in others.items() if ours.get(name) != value)
     lines = [f"sweeps compute without {', '.join(ignored)} of the environment"] if ignored else []
-    folder = _cache_folder()
+    folder = cache_folder()
     if reason := _reason_against(folder):
         lines.append(
             f"compiled programs are not kept, {folder or 'their folder'} cannot be written ({reason})"
@@ -131,7 +131,7 @@ def notes() -> list[str]:
     return lines
 
 
-def _cache_folder() -> Path | None:
+def cache_folder() -> Path | None:
     """Where compiled programs are kept; None if nobody knows where home is."""
     if given := os.environ.get(CACHE):
         return Path(given)

@@ -11,7 +11,7 @@ from gpcjax.allowed import checked_path, shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.learners.packed import unpack_learner
 from gpcjax.policies.saved import Unfit, unpack_policy
-from gpcjax.sweep.keeping import unpacked
+from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.reading import read_kept
 from gpcjax.sweep.runfolder import check_report
 

@@ -1,201 +1,21 @@
-"""How far a sweep is and how long it will take: a bar in a terminal, a line a minute elsewhere. Loads no jax."""
+"""What is shown while a sweep runs: a bar in a terminal, a line a minute elsewhere, JSON for programs. Loads no jax."""
 
-import heapq
-import itertools
+import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, TextIO, cast
+from typing import Any, Protocol, TextIO, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gpcjax.registry import find
-from gpcjax.sweep import costs
-from gpcjax.sweep.plan import Program
+from gpcjax.sweep.estimate import Work, is_seen, seconds_left
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
-
-COMPILES_FROM = 0.5
-"""Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
-
-JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time."""
-
-
-@dataclass
-class Work:
-    """The cells of one program: what has been done for them, by all workers, and what is still to do."""
-
-    env: str
-    algo: str
-    cells: int
-    episodes: int
-    """Of each cell."""
-    oracle: str = ""
-    """Whose targets may cost more than a step."""
-    begun: int = 0
-    """Cells that were handed to workers."""
-    finished: int = 0
-    finished_steps: int = 0
-    """Steps of the finished cells."""
-    finished_episodes: int = 0
-    """Episodes of the finished cells: fewer than they might have had, where runs stopped."""
-    steps: int = 0
-    done_episodes: int = 0
-    seconds: float = 0.0
-    """That workers have spent on it, compilations left out."""
-    compile_seconds: float = 0.0
-    workers: int = 0
-    """Workers that are at it now."""
-    starting: int = 0
-    """Those of them that have not made a step yet."""
-    joined: int = 0
-    """Workers that have been at it: each compiles for itself."""
-    recent_steps: float = 0.0
-    recent_episodes: float = 0.0
-    """Of the last seconds: what an episode takes by now, where learners live longer and longer."""
-
-    def add(self, steps: int, episodes: int, compile_seconds: float) -> None:
-        """Take in what a worker has done since it was last heard."""
-        self.steps += steps
-        self.done_episodes += episodes
-        self.compile_seconds += compile_seconds
-        self.recent_steps = 0.9 * self.recent_steps + steps
-        self.recent_episodes = 0.9 * self.recent_episodes + episodes
-
-    def _steps_left(self) -> tuple[float, float]:
-        """Expected steps of the runs that are under way, and of those that are not begun.
-
-        Runs that are over are no sample of those that are not: on tasks where one falls early, the short ones come
-        first. So the runs that are under way go on as they do now, and those not begun are like all the others.
-        """
-        if self.finished >= self.cells:
-            return 0.0, 0.0
-        running = max(self.begun - self.finished, 0)
-        episodes = max(self.done_episodes - self.finished_episodes, 0)
-        steps = max(self.steps - self.finished_steps, 0)
-        recent = self.recent_steps / self.recent_episodes if self.recent_episodes > 0.5 else 0.0
-        length = max(recent, steps / episodes if episodes else 0.0)
-        if not length:
-            length = self.steps / max(self.done_episodes, 1)
-        of_running = length * max(running * self.episodes - episodes, 0)
-        known = self.finished + running
-        each = (self.finished_steps + steps + of_running) / known if known else 0.0
-        return of_running, each * (self.cells - known)
-
-    @property
-    def steps_left(self) -> float:
-        """Expected steps of all that is not done."""
-        return sum(self._steps_left())
-
-    @property
-    def steps_free(self) -> float:
-        """Those of cells that no worker has."""
-        return self._steps_left()[1]
-
-    @property
-    def done(self) -> float:
-        """Share of its steps that are done, from 0 to 1; a program without steps has none."""
-        return self.steps / (self.steps + self.steps_left) if self.steps else 0.0
-
-
-def works_of(sizes: Mapping[Program, int]) -> dict[Program, Work]:
-    """The programs with so many cells each, in their order, with nothing done yet."""
-    return {key: Work(key.env, key.algo, cells, key.episodes, key.oracle) for key, cells in sizes.items()}
-
-
-def least_to_join(env: str) -> int:
-    """Cells that must be left of a program of this task for a further worker to compile it too.
-
-    Where the host simulates, one is enough: its steps take longer than any compilation.
-    """
-    return 1 if find("task", env).on_host else JOIN
-
-
-def seconds_left(works: Sequence[Work], jobs: int) -> float:
-    """Estimated seconds until all programs are done, by `jobs` workers.
-
-    A program that has been seen for a while costs what it did so far, in seconds a step; another one what
-    `costs` says, times what programs that were seen cost of it on this machine. Compilations are reckoned apart:
-    they come first, and are much shorter where the programs come from the cache. Then workers go through what is left
-    as `sharing` hands it out: a program each, and those who have no more join the one with most left.
-    """
-    if all(work.finished >= work.cells and not work.workers for work in works):
-        return 0.0
-    seen = [work for work in works if _is_seen(work)]
-    usual = sum(_usual(work) * work.done for work in seen)
-    speed = sum(work.seconds for work in seen) / usual if usual else 1.0
-    begun = [work for work in works if work.steps]
-    usual_compiling = sum(costs.compiling(work.algo) * work.joined for work in begun)
-    compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
-
-    bound, free, to_compile = {}, {}, {}
-    """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
-    for index, work in enumerate(works):
-        if work.finished >= work.cells:
-            continue
-        seconds = (
-            work.seconds * (1 - work.done) / work.done
-            if _is_seen(work)
-            else _usual(work) * speed * (1 - work.done)
-        )
-        of_free = work.steps_free / work.steps_left if work.steps else 1.0
-        free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = costs.compiling(work.algo) * compiling
-    at = [index for index, work in enumerate(works) for _ in range(work.workers)]
-    ends = []
-    """When each worker has done what it has now, and where it is."""
-    for index, same in itertools.groupby(at):
-        work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = costs.compiling(work.algo) * compiling
-        if stepping or work.steps:  # it joined another; since when is not known
-            compile_left /= 2
-        else:
-            compile_left = max(compile_left - work.compile_seconds / work.workers, 0.0)
-        for number, _ in enumerate(same):
-            if number < stepping:
-                ends.append((bound.get(index, 0.0) / stepping, index))
-            else:
-                ends.append(
-                    (compile_left + (0.0 if stepping else bound.get(index, 0.0) / work.workers), index)
-                )
-    ends += [(0.0, -1)] * (jobs - len(ends))
-    last, taken, at_first = 0.0, set(at), dict(free)
-    heapq.heapify(ends)
-    while ends:
-        now, index = heapq.heappop(ends)
-        last = max(last, now)
-        if free.get(index, 0.0) > 0:  # a part of what is left of its program, in several takings
-            some = min(free[index], max(free[index] / (2 * jobs), 0.05))
-            free[index] -= some
-            heapq.heappush(ends, (now + some, index))
-            continue
-        fresh = [each for each in free if each not in taken]
-        least = {each: least_to_join(works[each].env) for each in free}
-        cells = {
-            each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
-            for each, seconds in free.items()
-        }
-        shared = [each for each in free if cells[each] >= least[each]]
-        if fresh or shared:
-            index = fresh[0] if fresh else max(shared, key=lambda each: cells[each])
-            taken.add(index)
-            heapq.heappush(ends, (now + to_compile[index], index))
-    return last
-
-
-def _is_seen(work: Work) -> bool:
-    """Whether its own speed can be told."""
-    return work.done > 0.02 and work.seconds > 0.5
-
-
-def _usual(work: Work) -> float:
-    return work.cells * work.episodes * costs.of_episode(work.env, work.algo, work.oracle)
 
 
 @dataclass
@@ -208,6 +28,73 @@ class State:
     works: Sequence[Work] = ()
     compiling: bool = False
     """Whether a worker has been compiling for a while."""
+
+
+class Watcher(Protocol):
+    """Shows how far a sweep is, from `with` to its end. Made of its name, cells, workers and `Work` of all programs."""
+
+    def __enter__(self) -> Any: ...
+
+    def __exit__(self, *error: Any) -> None: ...
+
+    def show(self, state: State) -> None:
+        """Show this, now or later."""
+        ...
+
+
+@dataclass
+class JsonLines:
+    """Tells programs how far a sweep is: a line of JSON on stdout at its beginning, each second, and at its end.
+
+    | Key            | What                                                                     |
+    |----------------|--------------------------------------------------------------------------|
+    | `event`        | "begin", "progress" or "end"                                             |
+    | `sweep`        | the task                                                                 |
+    | `cells`        | to do                                                                    |
+    | `finished`     | of these                                                                 |
+    | `env_steps`    | so far                                                                   |
+    | `elapsed_s`    | since the beginning                                                      |
+    | `left_s`       | estimated                                                                |
+    | `compiling`    | whether a worker has been compiling for a while                          |
+    """
+
+    name: str
+    cells: int
+    jobs: int
+    stream: Any = None
+    clock: Callable[[], float] = time.monotonic
+    works: Sequence[Work] = ()
+    _state: State = field(default_factory=State)
+    _began: float = 0.0
+    _last: float = 0.0
+
+    def __enter__(self) -> "JsonLines":
+        self._began = self._last = self.clock()
+        self._state = State(works=self.works)
+        self._say("begin")
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._say("end")
+
+    def show(self, state: State) -> None:
+        self._state = state
+        if self.clock() - self._last >= 1.0:
+            self._last = self.clock()
+            self._say("progress")
+
+    def _say(self, event: str) -> None:
+        line = {
+            "event": event,
+            "sweep": self.name,
+            "cells": self.cells,
+            "finished": self._state.finished,
+            "env_steps": self._state.steps,
+            "elapsed_s": round(self.clock() - self._began, 3),
+            "left_s": round(seconds_left(self._state.works, self.jobs), 3),
+            "compiling": self._state.compiling,
+        }
+        print(json.dumps(line), file=self.stream or sys.stdout, flush=True)
 
 
 @dataclass
@@ -227,6 +114,8 @@ class Bar:
     jobs: int
     stream: Any = None
     clock: Callable[[], float] = time.monotonic
+    works: Sequence[Work] = ()
+    """All programs, before anything is done."""
     _bar: Progress | None = None
     _state: State = field(default_factory=State)
     _began: float = 0.0
@@ -251,9 +140,8 @@ class Bar:
             self._task = self._bar.add_task(self.name, total=1.0, cells=cells, speed=speed, left=left)
             self._bar.start()
         else:
-            self._print(
-                f"{self.name}: {self.cells} cells in {self.jobs} {'process' if self.jobs == 1 else 'processes'}"
-            )
+            where = f"{self.jobs} {'process' if self.jobs == 1 else 'processes'}"
+            self._print(f"{self.name}: {self.cells} cells in {where}{self._expected()}")
         return self
 
     def __exit__(
@@ -276,6 +164,14 @@ class Bar:
             parts = (f"{state.finished}/{self.cells} cells", self._speed(), self._left())
             self._print(f"{self.name}: {', '.join(part for part in parts if part)}")
 
+    def _expected(self) -> str:
+        """How long it may take, for the first line; said where the programs have run here before."""
+        if not self.works or not all(work.before for work in self.works):
+            return ""
+        compiling = max(work.usual_compiling for work in self.works)
+        seconds = _clock_time(seconds_left(self.works, self.jobs))
+        return f", about {seconds}, of which {_clock_time(compiling)} until all programs are there"
+
     def _fields(self) -> tuple[str, str, str]:
         return f"{self._state.finished}/{self.cells}", self._speed(), self._left()
 
@@ -295,7 +191,7 @@ class Bar:
     def _left(self) -> str:
         """Time left, once some steps tell how fast this machine is."""
         works = self._state.works
-        if not any(_is_seen(work) for work in works):
+        if not any(is_seen(work) for work in works):
             return ""
         return f"{_clock_time(seconds_left(works, self.jobs))} left"
 

@@ -3,14 +3,16 @@
 import importlib.metadata
 import platform
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import gpcjax
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
-from gpcjax.sweep import machine, stopping
+from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.keeping import Keeping, keeping_of
@@ -19,8 +21,8 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, specification_hash, varying
-from gpcjax.sweep.progress import Bar, State
+from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, program_of, specification_hash, varying
+from gpcjax.sweep.progress import Bar, State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
@@ -83,6 +85,7 @@ def run(
     grows: bool = True,
     keeping: Keeping | None = None,
     checkpoint: float = OPTIONS["checkpoint"].default,
+    watcher: Callable[..., Watcher] | None = None,
 ) -> None:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
@@ -115,7 +118,7 @@ def run(
                 agree=agree,
                 places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
-            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders).run()
+            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher).run()
 
 
 def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
@@ -188,6 +191,7 @@ class _Sweep:
         missing: list[Cell],
         executor: Executor,
         orders: Orders,
+        watcher: Callable[..., Watcher] | None,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
         self._store, self._missing = store, missing
@@ -205,8 +209,10 @@ class _Sweep:
             on_progress=self._show,
             on_note=tell,
             orders=orders,
+            before=experience.of({program_of(cell) for cell in missing}, cache_folder()),
         )
-        self._bar = Bar(spec.env, len(missing), self._desk.workers)
+        works = tuple(self._desk.works.values())
+        self._bar = (watcher or Bar)(spec.env, len(missing), self._desk.workers, works=works)
 
     def run(self) -> None:
         """Until nothing is missing."""
@@ -219,6 +225,9 @@ class _Sweep:
                     self._desk.refuse_less()
                 finally:
                     self._flush()
+                    took = {program: work.took for program, work in self._desk.works.items()}
+                    known = {program: cost for program, cost in took.items() if cost is not None}
+                    experience.learn(known, cache_folder())
             # What was asked for before may have been interrupted, and is not asked for now.
             self._save(complete=self._store.cells >= self._manifest["cells"])
             if self._manifest["complete"]:

@@ -15,7 +15,8 @@ from gpcjax.policies.saved import pack_controller
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.checkpointing import Checkpointer, Saved
 from gpcjax.sweep.executors.base import Orders, Say
-from gpcjax.sweep.keeping import KeptRow, What, packed
+from gpcjax.sweep.keeping import KeptRow, What
+from gpcjax.sweep.packing import packed
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import CellRows
 

@@ -1,7 +1,9 @@
 """The estimate of the time that is left, on histories of uneven sweeps; and what is shown, and where."""
 
 import io
+import json
 import random
+import re
 from collections import Counter
 from dataclasses import replace
 
@@ -9,9 +11,11 @@ import pytest
 
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
-from gpcjax.sweep import costs
+from gpcjax.sweep import costs, experience
+from gpcjax.sweep.estimate import Work, seconds_left, works_of
+from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
-from gpcjax.sweep.progress import LINE_SECONDS, Bar, State, Work, seconds_left, works_of
+from gpcjax.sweep.progress import LINE_SECONDS, Bar, JsonLines, State
 from gpcjax.sweep.spec import spec_of
 
 TICK = 0.25
@@ -289,3 +293,83 @@ def test_one_table_says_what_programs_cost():
         30,
     )
     assert seconds_left(list(slow.values()), 2) > 5 * seconds_left(list(fast.values()), 2)
+
+
+class TestExperience:
+    """What programs took here is known the next time."""
+
+    PROGRAMS = tuple(
+        {program_of(cell) for cell in plan(spec_of(env="cartpole", algo=["gpc", "coach"], seeds=3))}
+    )
+
+    def test_it_is_remembered(self, tmp_path):
+        one, other = self.PROGRAMS
+        assert experience.of(self.PROGRAMS, tmp_path) == {}
+        experience.learn({one: Cost(0.5, 10.0)}, tmp_path)
+        # Compiled for the first time: the next time it comes from the cache.
+        assert experience.of(self.PROGRAMS, tmp_path) == {one: Cost(0.5, 10.0 * experience.FROM_CACHE)}
+        experience.learn({one: Cost(0.25, 1.0), other: Cost(1.0, 5.0)}, tmp_path)
+        assert experience.of([one], tmp_path) == {one: Cost(0.25, 1.0)}
+
+    def test_it_counts_before_and_while_a_sweep_runs(self):
+        one, other = self.PROGRAMS
+        known = works_of({one: 100, other: 100}, {one: Cost(0.5, 0.0), other: Cost(0.1, 0.0)})
+        episodes = 100 * one.episodes
+        assert seconds_left(list(known.values()), 1) == pytest.approx(episodes * 0.6, rel=0.05)
+        work = known[one]
+        assert work.took is None
+        work.workers = work.joined = 1
+        work.begun = work.finished = 60
+        work.finished_episodes = work.done_episodes = 60 * one.episodes
+        work.finished_steps = work.steps = 1000
+        work.seconds, work.compile_seconds = 30.0, 4.0
+        assert work.took == Cost(30.0 / work.done_episodes, 4.0)
+
+    @pytest.mark.parametrize(
+        "content", [b"", b"[]", b"{", b'{"a": 3}', b'{"a": [1, 2]}', b"[" * 100000, bytes([255])]
+    )
+    def test_a_file_that_is_none_is_nothing(self, tmp_path, content):
+        (tmp_path / experience.FILE).write_bytes(content)
+        assert experience.of(self.PROGRAMS, tmp_path) == {}
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0)}, tmp_path)
+        assert len(experience.of(self.PROGRAMS, tmp_path)) == 1
+
+    def test_nowhere_to_write(self, tmp_path):
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0)}, None)
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0)}, tmp_path / "none")
+        assert experience.of(self.PROGRAMS, tmp_path / "none") == experience.of(self.PROGRAMS, None) == {}
+
+    def test_it_is_bounded(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(experience, "MOST", 1)
+        for program in self.PROGRAMS:
+            experience.learn({program: Cost(1.0, 1.0)}, tmp_path)
+        assert list(experience.of(self.PROGRAMS, tmp_path)) == [self.PROGRAMS[-1]]
+
+    def test_the_first_line_of_a_log_says_it(self):
+        stream, clock = io.StringIO(), Clock()
+        works = tuple(
+            works_of(
+                dict.fromkeys(self.PROGRAMS, 100), {each: Cost(0.1, 3.0) for each in self.PROGRAMS}
+            ).values()
+        )
+        with Bar("cartpole", 200, 1, stream, clock, works):
+            pass
+        expected = (
+            r"cartpole: 200 cells in 1 process, about \d+:\d\d, of which 0:03 until all programs are there"
+        )
+        assert re.fullmatch(expected, stream.getvalue().splitlines()[0])
+
+
+def test_json_lines():
+    stream, clock = io.StringIO(), Clock()
+    with JsonLines("cartpole", 10, 1, stream, clock) as lines:
+        for seconds in (100.5, 101.5, 101.6, 103.0):
+            clock.now = seconds
+            lines.show(State(finished=3, steps=1000, works=(seen(),), compiling=True))
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [line["event"] for line in told] == ["begin", "progress", "progress", "end"]
+    assert told[1] == {
+        "event": "progress", "sweep": "cartpole", "cells": 10, "finished": 3, "env_steps": 1000, "elapsed_s": 1.5,
+        "left_s": told[1]["left_s"], "compiling": True,
+    }  # fmt: skip
+    assert told[1]["left_s"] > 0

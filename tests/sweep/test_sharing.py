@@ -6,9 +6,9 @@ import pytest
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
+from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Totals
 from gpcjax.sweep.plan import plan, program_of
-from gpcjax.sweep.progress import JOIN
 from gpcjax.sweep.sharing import BATCH, Sharing
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.pretended import BASELINE, rows

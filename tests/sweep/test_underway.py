@@ -14,9 +14,10 @@ import gpcjax
 from gpcjax import cli
 from gpcjax.sweep import machine
 from gpcjax.sweep.checkpoints import remove_all, survey, told
-from gpcjax.sweep.keeping import Keeping, keeping_of, packed, unpacked
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS
 from gpcjax.sweep.learned import load_policies, load_states
+from gpcjax.sweep.packing import packed, unpacked
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
 from gpcjax.sweep.run import sweep, versions

@@ -26,11 +26,15 @@ from typing import Any, Protocol, runtime_checkable
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place
+from gpcjax.sweep.estimate import Work
+from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.keeping import Keeping
-from gpcjax.sweep.plan import Cell, program_of
-from gpcjax.sweep.progress import COMPILES_FROM, Work
+from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.sharing import Sharing
+
+COMPILES_FROM = 0.5
+"""Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
 
 ASKS = ("ready", "next")
 """The first words of messages that are answered."""
@@ -126,6 +130,7 @@ class Desk:
         on_progress: called with the totals, some times a second.
         on_note: called with each line that a worker has for the person.
         orders: what workers do beside.
+        before: what programs took when they ran here the last time.
     """
 
     def __init__(
@@ -138,11 +143,12 @@ class Desk:
         on_progress: Callable[[Totals], None],
         on_note: Callable[[str], None] = lambda line: None,
         orders: Orders = Orders(),
+        before: Mapping[Program, Cost] = {},
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
         self.workers = max(1, min(jobs, len(self.cells) or 1))
         """How many there is work for."""
-        self._sharing = Sharing(self.cells, self.workers)
+        self._sharing = Sharing(self.cells, self.workers, before)
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
         self._on_note, self._orders = on_note, orders
@@ -150,6 +156,11 @@ class Desk:
         self._before: list[Totals] = []
         """What workers had done that are gone."""
         self._lock = threading.Lock()
+
+    @property
+    def works(self) -> dict[Program, Work]:
+        """What has been done for each program so far."""
+        return self._sharing.works
 
     def answer(self, worker: int, message: Message) -> Message | None:
         """The answer to what this worker says; None where it asks nothing.

@@ -1,0 +1,79 @@
+"""What programs took on this machine, from one sweep to the next: better than any table. Loads no jax.
+
+A small file beside the compiled programs, which it belongs to: what was compiled before comes from there. It is for
+guesses of time alone; where it cannot be read or written, the guesses are those of `gpcjax.sweep.costs`.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.plan import Program
+
+FILE = "seconds.json"
+MOST = 2000
+"""Programs that are remembered: the last ones."""
+
+FROM_CACHE = 0.2
+"""Part of the seconds of compiling that a program takes which is in the cache: tracing and reading, measured."""
+
+LEAST_DONE = 0.5
+"""Of a program's steps, to be remembered: the first episodes of runs are shorter than the later ones, or longer."""
+
+
+class Cost(NamedTuple):
+    """Seconds of one core."""
+
+    episode: float
+    """Of an episode, the mean over a run."""
+    compiling: float
+    """Until a worker has its programs; from the cache, where they are once they were compiled."""
+
+
+def of(programs: Iterable[Program], folder: Path | None) -> dict[Program, Cost]:
+    """What is known of these programs; `folder` is where compiled ones are kept, or None."""
+    entries = _read(folder)
+    return {program: Cost(*entries[key]) for program in programs if (key := _key(program)) in entries}
+
+
+def learn(costs: Mapping[Program, Cost], folder: Path | None) -> None:
+    """Remembers what programs took. Says nothing where that is not possible."""
+    if folder is None or not costs:
+        return
+    entries = _read(folder)
+    for program, cost in costs.items():
+        compiled_before = entries.pop(_key(program), None) is not None
+        compiling = cost.compiling if compiled_before else FROM_CACHE * cost.compiling
+        entries[_key(program)] = [cost.episode, compiling]  # last, as the newest
+    newest = dict(list(entries.items())[-MOST:])
+    with suppress(OSError, ValueError):
+        write_atomic(folder / FILE, json.dumps(newest))
+
+
+def _key(program: Program) -> str:
+    return hashlib.sha256(repr(tuple(program)).encode()).hexdigest()[:16]
+
+
+def _read(folder: Path | None) -> dict[str, Any]:
+    if folder is None:
+        return {}
+    try:
+        entries = json.loads((folder / FILE).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return (
+        {key: value for key, value in entries.items() if _is_cost(value)} if isinstance(entries, dict) else {}
+    )
+
+
+def _is_cost(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 2
+        and all(isinstance(each, float) and math.isfinite(each) and each >= 0 for each in value)
+    )
