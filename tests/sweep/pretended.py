@@ -3,12 +3,14 @@
 import numpy as np
 
 from gpcjax.sweep.executors import Totals
+from gpcjax.sweep.keeping import KeptRow
+from gpcjax.sweep.packing import packed
 from gpcjax.sweep.rows import CellRows
 
 BASELINE = {"mean": 20.0, "std": 1.0, "n": 100}
 
 
-def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
+def rows(cell, episodes=3, corrections=2, status="ok", kept=False) -> CellRows:
     """Numbers that tell the cell and the episode."""
     mark = 10.0 * cell.seed + 100 * cell.error
     counts = np.arange(episodes, dtype=np.int32)
@@ -24,7 +26,9 @@ def rows(cell, episodes=3, corrections=2, status="ok") -> CellRows:
         "values": np.array([[mark, *sigmas]] * corrections).reshape(-1, 3),
         "outcome": np.array([[True, False, False]] * corrections, bool).reshape(-1, 3),
     }
-    return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log)
+    card, arrays = packed({"kind": "policy"}, {"mark": np.full(20, mark), "seed": np.array(cell.seed)})
+    learned = (KeptRow(episodes, mark + episodes - 1, "policy", card, arrays),) if kept else ()
+    return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log, kept=learned)
 
 
 def hand_out(desk):
@@ -43,8 +47,8 @@ def hand_out(desk):
 class Pretended:
     """In place of `Processes`: hands in rows of all cells, or of some and then fails."""
 
-    def __init__(self, fails_after=None, error=KeyboardInterrupt):
-        self.fails_after, self.error, self.calls = fails_after, error, []
+    def __init__(self, fails_after=None, error=KeyboardInterrupt, kept=False):
+        self.fails_after, self.error, self.calls, self.kept = fails_after, error, [], kept
 
     def __call__(self, jobs):
         self.jobs = jobs
@@ -61,5 +65,5 @@ class Pretended:
         for index, cell in enumerate(cells):
             if index == self.fails_after:
                 raise self.error
-            on_rows(rows(cell))
+            on_rows(rows(cell, kept=self.kept))
             on_progress(Totals(env_steps=10 * (index + 1), episodes=3 * (index + 1), compile_seconds=2.0))
