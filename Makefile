@@ -15,7 +15,7 @@
 #:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
-#:   KEEP      policies or states of each run, for Python, and to go on from
+#:   KEEP      policies or states of each run, for Python, and to go on from (nothing)
 #:   CREDIT    seconds between a step and the advice about it, as the learner reckons
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
