@@ -1,6 +1,7 @@
 """Learning curves (as Figs. 5.1 and 5.4 of the thesis) and learning rates (as Fig. 5.2)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,16 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from gpcjax.report import style, words
-from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study
+from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study, unique
 from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
 from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Summary
+from gpcjax.sweep.counted import Chosen
 
 FIRST_CORRECTIONS = 150
+MOST_RATED = 10_000
+"""Runs of a line of learning rates: of more those with the lowest seeds."""
+
 WINDOW = 3
 """Episodes of the walking mean."""
 
@@ -100,9 +105,8 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
     study, looks = summary.study, style.looks(summary.study.algorithms)
     if corrections.empty:
         return None
-    dimensions = sorted(corrections["action_dim"].unique().tolist())
-    groups = [group for group in study.groups if group.runs and summary.of(group).best]
-    rates = {(group, d): common_rates(group, corrections, d) for group in groups for d in dimensions}
+    rates = _rates(summary, corrections)
+    dimensions = unique(dimension for _, dimension in rates)
     longest = max((rate.shape[1] for rate in rates.values()), default=0)
     if not longest:
         return None
@@ -130,7 +134,38 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
         "corrections."
     ]
     sentences += ["Of a grid the point with the highest mean final return."] if study.varying else []
+    if any(group.runs > MOST_RATED for group, _ in rates):
+        sentences.append(f"Of more than {MOST_RATED:,} runs those with the lowest seeds.")
     return Drawing(figure, "Learning rates", " ".join([*sentences, *([CUT] if cut else [])]))
+
+
+def shown_rates(summary: Summary) -> list[Chosen]:
+    """The runs whose learning rates are drawn: of the best point of each algorithm in each panel."""
+    return [
+        Chosen(
+            group.algo, group.oracle, group.error, dict(group.point.values), group.seeds[:MOST_RATED]
+        )
+        for group in (row.group for row in summary.leading if row.best)
+    ]
+
+
+def _rates(summary: Summary, corrections: pd.DataFrame) -> dict[tuple[Group, int], np.ndarray]:
+    """The first learning rates of what `shown_rates` chooses, for each action dimension."""
+    dimensions = sorted(corrections["action_dim"].unique().tolist())
+    panels = dict(list(corrections.groupby(["oracle", "error", "algo"], sort=False)))
+    rates = {}
+    for group in (row.group for row in summary.leading if row.best):
+        rows = panels.get((group.oracle, group.error, group.algo))
+        if rows is not None:
+            some = slice(MOST_RATED)
+            few = replace(
+                group,
+                seeds=group.seeds[some],
+                returns=group.returns[some],
+                corrections=group.corrections[some],
+            )
+            rates |= {(group, dimension): common_rates(few, rows, dimension) for dimension in dimensions}
+    return rates
 
 
 def _titles(study: Study) -> list[str]:

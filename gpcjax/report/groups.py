@@ -54,6 +54,11 @@ class Point:
 
     values: tuple[tuple[str, float], ...] = ()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The settings that concern the algorithm."""
+        return tuple(name for name, _ in self.values)
+
     def get(self, name: str) -> float | None:
         return dict(self.values).get(name)
 

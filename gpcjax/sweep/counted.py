@@ -121,7 +121,8 @@ def corrections_of(out: Path, manifest: Mapping[str, Any], chosen: Sequence[Chos
         rows = rows[np.argsort(place[rows], kind="stable")]
         seeds = table.column("seed").to_numpy()[rows]
         present, starts = np.unique(place[rows], return_index=True)
-        for which, start, stop in zip(present, starts, [*starts[1:], len(rows)], strict=True):
+        stops = [*starts[1:], len(rows)]
+        for which, start, stop in zip(present, starts, stops, strict=False):
             new = np.isin(seeds[start:stop], chosen[which].seeds) & ~np.isin(seeds[start:stop], seen[which])
             frames.append(table.take(rows[start:stop][new]).to_pandas())
             seen[which] = np.union1d(seen[which], seeds[start:stop][new])
