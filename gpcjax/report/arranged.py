@@ -56,9 +56,7 @@ def broken(episodes: Episodes) -> Bool[np.ndarray, "rows"]:
     return ~ok[episodes.status.codes] | ~np.isfinite(episodes.returns)
 
 
-def compared_length(
-    episodes: Episodes, broken: Bool[np.ndarray, "rows"], specified: int | None
-) -> int:
+def compared_length(episodes: Episodes, broken: Bool[np.ndarray, "rows"], specified: int | None) -> int:
     """How long runs are compared: what is specified, or as far as the longest run is that is still to be finished."""
     over = np.zeros(len(episodes.seeds), bool)
     over[episodes.cell[broken]] = True
@@ -134,9 +132,7 @@ def parted(
         )
 
 
-def _stopped(
-    episodes: Episodes, line: Int[np.ndarray, "cells"], rows: Int[np.ndarray, "broken"]
-) -> Stopped:
+def _stopped(episodes: Episodes, line: Int[np.ndarray, "cells"], rows: Int[np.ndarray, "broken"]) -> Stopped:
     """Of the rows in which a run stopped the first of each run, by the lines."""
     rows = rows[np.lexsort((episodes.episode[rows], line[episodes.cell[rows]]))]
     lines, first = np.unique(line[episodes.cell[rows]], return_index=True)

@@ -201,7 +201,9 @@ def pairs_of(
     if count > MOST_PAIRS:
         leaders = [place for place, group in enumerate(seconds) if group in best]
         met = [
-            places if first in best else [place for place in leaders if seconds[place].point.agrees(first.point)]
+            places
+            if first in best
+            else [place for place in leaders if seconds[place].point.agrees(first.point)]
             for first, places in zip(firsts, met, strict=True)
         ]
     pairs = [(first, seconds[place]) for first, places in zip(firsts, met, strict=True) for place in places]

@@ -7,10 +7,17 @@ from collections.abc import Sequence
 from gpcjax.report import words
 from gpcjax.report.document import Kind, Sheet
 from gpcjax.report.groups import CLOSED_GAP, FINAL_EPISODES, Group, Study, unique
+from gpcjax.report.statistics import MANY_RUNS
 from gpcjax.report.summary import Difference, Row, Summary
 
 MOST_ROWS = 60
 """Longer tables of differences are left to the files."""
+
+MOST_LEADING = 300
+"""Rows of a table of results, limits or best points: of more the first."""
+
+MOST_STOPPED = 30
+"""Rows whose stopped runs are listed."""
 
 CLOSED = f"{100 * CLOSED_GAP:.0f}%"
 
@@ -113,14 +120,16 @@ def warnings(summary: Summary) -> list[str]:
 
 
 def stopped_lines(study: Study, most: int = 8) -> list[str]:
-    """Where runs stopped, a line a group with at most `most` seeds."""
+    """Where runs stopped, a line a group with at most `most` seeds; of many groups the first."""
     lines = []
-    for group in study.groups:
-        if group.stopped:
-            shown = [f"{stop.seed} (episode {stop.episode})" for stop in group.stopped[:most]]
-            rest = len(group.stopped) - len(shown)
-            seeds = ", ".join(shown) + (f" and {rest} more" if rest else "")
-            lines.append(f"{_name(group, study)}: seed {seeds}")
+    groups = [group for group in study.groups if group.stopped]
+    for group in groups[:MOST_STOPPED]:
+        shown = [f"{stop.seed} (episode {stop.episode})" for stop in group.stopped[:most]]
+        rest = len(group.stopped) - len(shown)
+        seeds = ", ".join(shown) + (f" and {rest} more" if rest else "")
+        lines.append(f"{_name(group, study)}: seed {seeds}")
+    if len(groups) > MOST_STOPPED:
+        lines.append(f"and runs of {len(groups) - MOST_STOPPED:,} more rows, see summary.csv")
     return lines
 
 
@@ -128,7 +137,7 @@ def reading(summary: Summary) -> list[str]:
     """How to read the results."""
     lines = [
         f"Final return: mean of a run's last {FINAL_EPISODES} episodes. Area: mean return of an episode. Of both the "
-        "mean over runs; in brackets its 95% interval (studentised bootstrap over seeds).",
+        f"mean over runs; in brackets its 95% interval ({_interval_kind(summary)}).",
         f"To {CLOSED}: median first episode whose return closes {CLOSED} of the gap between idle (a = 0) and oracle; "
         "never: runs without one. Corr.: corrections used, mean over runs. Oracle, idle: mean ± standard deviation.",
     ]
@@ -155,6 +164,14 @@ def reading(summary: Summary) -> list[str]:
     return lines
 
 
+def _interval_kind(summary: Summary) -> str:
+    counts = {min(group.runs, MANY_RUNS) for group in summary.study.groups if group.runs}
+    if counts == {MANY_RUNS}:
+        return "Student's t"
+    many = f"; Student's t from {MANY_RUNS:,} runs on" if MANY_RUNS in counts else ""
+    return f"studentised bootstrap over seeds{many}"
+
+
 def limits_sheets(summary: Summary) -> list[Sheet]:
     """Steps, clipped actions and full dictionaries of the same runs as `result_sheets`; a sheet for each oracle."""
     columns = ("error", "algo", *_symbols(summary.study), "runs", "steps", "clipped", "met full", "stopped")
@@ -178,11 +195,17 @@ def limits_sheets(summary: Summary) -> list[Sheet]:
     return sheets
 
 
-def reading_differences() -> list[str]:
+def reading_differences(summary: Summary) -> list[str]:
     """How to read the differences."""
-    return [
+    lines = [
         "Differences: first minus second on the same seeds, mean and interval; * where that excludes zero."
     ]
+    if summary.unpaired:
+        lines.append(
+            f"Of {summary.unpaired + len(summary.differences):,} pairs of points these are the "
+            f"{len(summary.differences):,} with a best point."
+        )
+    return lines
 
 
 def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> Sheet:

@@ -261,8 +261,9 @@ def _sums(cell: np.ndarray, values: np.ndarray, cells: int) -> np.ndarray:
 
 
 def _chosen_by(table: pa.Table, chosen: Sequence[Chosen]) -> Int[np.ndarray, "rows"]:
-    """The place in `chosen` of what each row belongs to by its settings; -1 for none. Of a learner with an oracle and
-    an error there is one in `chosen`.
+    """The place in `chosen` of what each row belongs to by its settings; -1 for none.
+
+    Of a learner with an oracle and an error there is one in `chosen`.
     """
     places = {(runs.algo, runs.oracle, runs.error): place for place, runs in enumerate(chosen)}
     values = _Values()
