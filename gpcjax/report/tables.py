@@ -28,10 +28,7 @@ KINDS: dict[str, Kind] = {"error": "word", "algo": "word", "difference": "word"}
 def result_sheets(summary: Summary) -> list[Sheet]:
     """Algorithm by error rate, a sheet for each oracle; of a grid the best points."""
     return [
-        _results(
-            summary.study, oracle, [row for row in summary.leading if row.group.oracle == oracle], grid=False
-        )
-        for oracle in _oracles(summary)
+        _results(summary.study, oracle, _leading(summary, oracle), grid=False) for oracle in _oracles(summary)
     ]
 
 
@@ -49,7 +46,7 @@ def point_sheets(summary: Summary) -> list[Sheet]:
     """The best point of each algorithm that has several, and how many are tied with it; a sheet for each oracle."""
     sheets = []
     for oracle in _oracles(summary):
-        best = [row for row in summary.leading if row.group.oracle == oracle and row.best]
+        best = [row for row in _leading(summary, oracle) if row.best]
         decimals = words.places([row.final.estimate for row in best])
         rows, errors = [], []
         for row in best:
@@ -146,6 +143,8 @@ def reading(summary: Summary) -> list[str]:
             "Of a grid each algorithm shows its point with the highest mean final return; tied: points not "
             "significantly worse on the same seeds, that one included. All points are in summary.csv."
         )
+    if any(len(_all_leading(summary, oracle)) > MOST_LEADING for oracle in _oracles(summary)):
+        lines.append(f"A table has {MOST_LEADING} rows at most. All are in summary.csv.")
     clipped = [
         group.limits.clipped / group.limits.steps for group in summary.study.groups if group.limits.clipped
     ]
@@ -177,7 +176,7 @@ def limits_sheets(summary: Summary) -> list[Sheet]:
     columns = ("error", "algo", *_symbols(summary.study), "runs", "steps", "clipped", "met full", "stopped")
     sheets = []
     for oracle in _oracles(summary):
-        groups = [row.group for row in summary.leading if row.group.oracle == oracle]
+        groups = [row.group for row in _leading(summary, oracle)]
         rows = tuple(
             (
                 *_head(group, summary.study.varying),
@@ -250,6 +249,15 @@ def _difference(difference: Difference, study: Study, decimals: int) -> tuple[st
 
 def _oracles(summary: Summary) -> tuple[str, ...]:
     return unique(group.oracle for group in summary.study.groups)
+
+
+def _all_leading(summary: Summary, oracle: str) -> list[Row]:
+    return [row for row in summary.leading if row.group.oracle == oracle]
+
+
+def _leading(summary: Summary, oracle: str) -> list[Row]:
+    """What a table shows, which stays readable."""
+    return _all_leading(summary, oracle)[:MOST_LEADING]
 
 
 def _head(group: Group, varying: Sequence[str]) -> tuple[str, ...]:
