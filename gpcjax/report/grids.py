@@ -155,10 +155,10 @@ def _fields(panel: _Panel, summary: Summary) -> _Fields:
 def _heatmap(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize) -> None:
     axis.set_facecolor("#e4e4e4")  # a point without a run
     axis.imshow(field.final, origin="lower", aspect="auto", cmap=COLOURS, norm=scale)
-    for values, ticks in ((field.x, axis.set_xticks), (field.y, axis.set_yticks)):
-        labelled = range(0, len(values), -(-len(values) // MOST_TICKS))
-        digits = 6 if len(labelled) == len(values) else 3
-        ticks(labelled, [f"{values[place]:.{digits}g}" for place in labelled])
+    for values, ticks, room in ((field.x, axis.set_xticks, 6), (field.y, axis.set_yticks, MOST_TICKS)):
+        thinned = len(values) > MOST_TICKS
+        labelled = range(0, len(values), -(-len(values) // room) if thinned else 1)
+        ticks(labelled, [f"{values[place]:.{3 if thinned else 6}g}" for place in labelled])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
     axis.set_xlabel(words.math_symbol(names[0]))
