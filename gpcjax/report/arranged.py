@@ -91,7 +91,7 @@ def arranged(
     returns[stopped.line] = np.where(from_there, idle, returns[stopped.line])
     corrections[stopped.line] = np.where(after, 0.0, corrections[stopped.line])
     there[stopped.line] |= from_there
-    return Arranged(cell, returns, corrections, there.all(axis=1), stopped)
+    return Arranged(cell, returns, corrections, np.asarray(there.all(axis=1)), stopped)
 
 
 def parted(

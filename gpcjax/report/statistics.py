@@ -35,6 +35,15 @@ Runs that are all equal have an interval of no width, as they hold no sign of wh
 runs alone covers more than the samples that are not all equal, and of those the last three rows cover all. With fewer
 than twenty skewed runs it is still too narrow: 93% at ten, 90% at five.
 
+From 5,000 runs on nothing is resampled: Student's t is the interval of a mean, and a median lies between two order
+statistics (`median_band`). There both cover as often (percent of 1,500 samples, by the same module), in a width that
+is the same within 2%:
+
+| returns | bootstrap-t, 4,999 runs | Student's t, 5,000 runs |
+|---|---|---|
+@@
+Only of outcomes so rare that a sample has ten of them does Student's t cover less; with a hundred it does not.
+
 The draws are counts of how often each run was taken; they depend on the number of runs and a fixed seed alone, so that
 the same store gives the same table. Medians, of times until something happens and of learning rates, keep percentile
 and order-statistic intervals.

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 from jaxtyping import Float, Int
 
 from gpcjax.errors import UserError
@@ -65,9 +64,9 @@ class Episodes:
     def of(frame: pd.DataFrame, varying: Iterable[str]) -> "Episodes":
         """The same of a frame as `gpcjax.load` gives it, which has at least one row."""
         part = _Part.of(
-            {name: _coded(frame[name]) for name in ("algo", "oracle", "error", *varying)},
+            {name: _coded(frame, name) for name in ("algo", "oracle", "error", *varying)},
             {name: frame[name].to_numpy() for name in ("seed", *_MEASURED[:-1])},
-            _coded(frame["status"]),
+            _coded(frame, "status"),
         )
         return _joined(str(frame["env"].iloc[0]), [part])[0]
 
@@ -149,7 +148,7 @@ class _Values:
 
     def coded(self, name: str, column: pa.ChunkedArray) -> Coded:
         """The column of a part, by the numbers that hold for all parts."""
-        encoded = pc.dictionary_encode(column.combine_chunks())
+        encoded = column.combine_chunks().dictionary_encode()
         numbers = self._numbers.setdefault(name, {})
         known = [numbers.setdefault(value, len(numbers)) for value in encoded.dictionary.to_pylist()]
         place = encoded.indices.fill_null(len(known)).to_numpy(zero_copy_only=False)
@@ -220,10 +219,11 @@ def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
     totals = {name: np.concatenate([part.totals[name] for part in parts]) for name in _TOTALS}
     before = np.cumsum([0, *(len(part.seeds) for part in parts)])
     cell = np.concatenate([part.cell + int(start) for part, start in zip(parts, before, strict=False)])
-    columns = [
-        np.concatenate(each)
-        for each in zip(*((part.episode, part.returns, part.corrections) for part in parts), strict=True)
-    ]
+    columns = {
+        "episode": np.concatenate([part.episode for part in parts]),
+        "returns": np.concatenate([part.returns for part in parts]),
+        "corrections": np.concatenate([part.corrections for part in parts]),
+    }
     status = np.concatenate([part.status.codes for part in parts])
     parts.clear()
     _, once = np.unique(
@@ -235,17 +235,24 @@ def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
         kept[once] = True
         rows = kept[cell]
         cell = (np.cumsum(kept) - 1)[cell[rows]]
-        columns, status, seeds = [column[rows] for column in columns], status[rows], seeds[kept]
+        columns = {name: column[rows] for name, column in columns.items()}
+        status, seeds = status[rows], seeds[kept]
         settings = {name: Coded(column.codes[kept], column.values) for name, column in settings.items()}
         totals = {name: total[kept] for name, total in totals.items()}
     made = Episodes(
-        env, settings, seeds, totals, cell.astype(np.int32), *columns, Coded(status, latest.status.values)
+        env=env,
+        settings=settings,
+        seeds=seeds,
+        totals=totals,
+        cell=cell.astype(np.int32),
+        status=Coded(status, latest.status.values),
+        **columns,
     )
     return made, repeated
 
 
-def _coded(column: pd.Series) -> Coded:
-    codes, values = pd.factorize(column)
+def _coded(frame: pd.DataFrame, name: str) -> Coded:
+    codes, values = pd.factorize(frame[name])
     return Coded(codes, tuple(values.tolist()))
 
 

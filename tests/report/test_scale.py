@@ -1,5 +1,6 @@
 """What a report says and costs with many runs and many points."""
 
+import functools
 import itertools
 import json
 import sys
@@ -87,9 +88,9 @@ def test_medians_are_those_of_each_resample_to_the_bit(runs, monkeypatch):
         assert found == (np.median(sample), *bounds)
 
 
-# As at 100 runs (`test_statistics.LEAST`): of 2,000 samples, whose part has a standard error of 0.5%.
 @pytest.mark.parametrize("name", ["normal", "exponential", "0 or 2500, p = 0.1", "0 or 2500, p = 0.5"])
-def test_students_interval_covers_as_often_as_it_says_where_it_takes_over(name):
+def test_intervals_cover_as_often_as_they_say_where_nothing_is_resampled(name):
+    """Of 2,000 samples, whose part has a standard error of 0.5%."""
     part, equal = covered(name, MANY_RUNS, samples=2000)
     assert equal == 0 and 0.94 <= part <= 0.96
 
@@ -180,7 +181,7 @@ def said(store):
 
 def test_what_is_called_grows_with_the_points_and_not_with_the_runs():
     small, large, few, many = (
-        calls(lambda store=held(**sizes): said(store))
+        calls(functools.partial(said, held(**sizes)))
         for sizes in (
             {"points": 200, "algos": ("gpc", "coach")},
             {"points": 800, "algos": ("gpc", "coach")},
