@@ -15,12 +15,15 @@ from gpcjax.report.document import (
     Sheet,
     Warnings,
 )
-from gpcjax.report.statistics import RESAMPLES
+from gpcjax.report.statistics import MANY_RUNS, RESAMPLES
 from gpcjax.report.summary import Summary
 from gpcjax.sweep.seeds import Seeds
 
 MOST_ROWS = 600
 """Longer tables are left to the files."""
+
+MOST_VALUES = 40
+"""Of a setting in the specification: of more the first and the last are written."""
 
 
 def document(summary: Summary, pictures: Iterable[Picture]) -> Document:
@@ -38,7 +41,8 @@ def document(summary: Summary, pictures: Iterable[Picture]) -> Document:
         *_differences(summary),
     ]
     if summary.study.varying:
-        blocks.append(_folded("Every point of the grid", tables.grid_sheets(summary)))
+        title, rows = "Every point of the grid", len(summary.rows)
+        blocks.append(_folded(title, tables.grid_sheets(summary)) if rows <= MOST_ROWS else _in_files(title))
     blocks += [
         Heading("Limits met"),
         *tables.limits_sheets(summary),
@@ -82,24 +86,28 @@ def _lead(summary: Summary) -> str:
 
 
 def _differences(summary: Summary) -> Iterator[Block]:
-    sheets = tables.difference_sheets(summary)
-    rows = sum(len(sheet.rows) for sheet in sheets)
+    rows = len(summary.differences)
     if not rows:
         return
-    notes = map(Paragraph, tables.reading_differences())
+    notes = map(Paragraph, tables.reading_differences(summary))
     yield Heading("Paired differences")
-    if rows > tables.MOST_ROWS:
+    if rows > MOST_ROWS:
         yield from notes
-        yield _folded(f"{rows} differences", sheets)
+        yield _in_files(f"{rows:,} differences")
+    elif rows > tables.MOST_ROWS:
+        yield from notes
+        yield _folded(f"{rows} differences", tables.difference_sheets(summary))
     else:
-        yield from sheets
+        yield from tables.difference_sheets(summary)
         yield from notes
 
 
 def _folded(title: str, sheets: list[Sheet]) -> Block:
-    if sum(len(sheet.rows) for sheet in sheets) > MOST_ROWS:
-        return Paragraph(f"{title}: more than {MOST_ROWS} rows, see summary.csv and differences.csv.")
     return Folded(title, tuple(sheets))
+
+
+def _in_files(title: str) -> Block:
+    return Paragraph(f"{title}: more than {MOST_ROWS} rows, see summary.csv and differences.csv.")
 
 
 def facts(title: str, *parts: Mapping[str, Any]) -> Iterator[Block]:
@@ -114,6 +122,8 @@ def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{name} = {_shown(inner)}" for name, inner in value.items()) or "as in the thesis"
     if isinstance(value, list | tuple):
+        if len(value) > MOST_VALUES:
+            return f"{', '.join(map(_shown, value[:3]))}, ..., {_shown(value[-1])} ({len(value):,} values)"
         return ", ".join(map(_shown, value))
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -138,6 +148,15 @@ def _throughput(manifest: Mapping[str, Any]) -> dict[str, str]:
             if isinstance(manifest.get(name), int | float)}  # fmt: skip
 
 
+def _many_runs(summary: Summary) -> str:
+    if max(group.runs for group in summary.study.groups) < MANY_RUNS:
+        return ""
+    return (
+        f" From {MANY_RUNS:,} runs on nothing is resampled: means have Student's t, and medians the two runs between "
+        "which they lie by the binomial distribution; both hold as often."
+    )
+
+
 def _methods(summary: Summary) -> dict[str, str]:
     methods = {
         "Runs": "One run is one seed. The same seed means the same starts and the same draws of the teacher for every "
@@ -154,7 +173,7 @@ def _methods(summary: Summary) -> dict[str, str]:
         "Intervals": "Of means: 95% intervals of a studentised bootstrap over seeds "
         f"({RESAMPLES:,} resamples with a fixed random seed: the same store gives the same interval), never narrower "
         "than Student's t. Runs that are all equal have an interval of no width: it cannot know of an outcome that no "
-        "run had. Of medians of episodes: percentiles of the same resamples.",
+        "run had. Of medians of episodes: percentiles of the same resamples." + _many_runs(summary),
         "Differences": "Area of the first algorithm minus that of the second on the same seed; mean over the seeds "
         "that both have. There is no correction for the number of comparisons.",
     }

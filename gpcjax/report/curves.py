@@ -1,6 +1,7 @@
 """Learning curves (as Figs. 5.1 and 5.4 of the thesis) and learning rates (as Fig. 5.2)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,25 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from gpcjax.report import style, words
-from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study
+from gpcjax.report import strips, style, words
+from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study, unique
 from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
 from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Summary
+from gpcjax.sweep.counted import Chosen
 
 FIRST_CORRECTIONS = 150
+MOST_RATED = 10_000
+"""Runs of a line of learning rates: of more those with the lowest seeds."""
+
 WINDOW = 3
 """Episodes of the walking mean."""
 
-STRIP = 0.08
-"""Width of the column of an algorithm's final returns, in parts of that of the curves."""
+MOST_LINES = 500
+"""Points of a grid whose curves are drawn one by one; of more the range of their middle 90%."""
+
+MOST_PANELS = 48
+"""Of a figure: more are left to summary.csv."""
 
 CUT = "Wide intervals are cut at the edge of a panel."
 
@@ -50,22 +58,26 @@ def learning_curves(summary: Summary) -> Drawing:
     and one standard deviation) and the idle policy.
     """
     study, looks = summary.study, style.looks(summary.study.algorithms)
+    panels = study.panels[:MOST_PANELS]
     with style.publication():
-        figure, axes = style.panels(_titles(study), _columns(study))
+        figure, axes = style.panels(_titles(study, panels), _columns(study))
         reach: list[float] = []
-        leading: dict[Axes, list[Group]] = {}
-        for (oracle, error), axis in zip(study.panels, axes, strict=True):
+        leading: dict[Axes, list[Group]] = {axis: [] for axis in axes}
+        for (oracle, error), axis in zip(panels, axes, strict=True):
             reach += _baselines(axis, study.oracle(oracle), study.idle)
-            groups = [group for group in study.select(oracle, error) if group.runs]
-            for group in groups:
-                _curve(axis, group, looks[group.algo], leading=summary.of(group).best)
+            for algo in study.algorithms:
+                groups = [group for group in study.select(oracle, error, algo) if group.runs]
+                best = [group for group in groups if summary.of(group).best]
+                _others(axis, [group for group in groups if not summary.of(group).best], looks[algo])
+                for group in best:
+                    _curve(axis, group, looks[algo])
+                    reach += [group.final.values.min(), group.final.values.max()]
+                leading[axis] += best
             style.count_ticks(axis, study.episodes)
             axis.yaxis.set_major_locator(MaxNLocator(nbins=6))
-            leading[axis] = [group for group in groups if summary.of(group).best]
-            reach += [value for group in leading[axis] for value in group.final.values]
         cut = style.follow_lines(axes, reach)
         for axis, groups in leading.items():
-            _strip(axis, groups, study)
+            strips.draw(axis, groups, study)
         style.label(axes, "episode", words.return_label(study))
         style.legend(figure, _algorithms(study) + _baseline_handles(study))
     return Drawing(figure, "Learning curves", _curves_caption(summary, cut))
@@ -78,15 +90,25 @@ def _curves_caption(summary: Summary, cut: bool) -> str:
         "of the mean over runs, with its 95% interval; faint lines: the mean itself. Right of each panel the final "
         f"return of every run (mean of its last {FINAL_EPISODES} episodes), with a bar at their mean.",
     ]
+    if any(row.group.runs > strips.MOST_DOTS for row in summary.leading):
+        sentences.append(f"More than {strips.MOST_DOTS:,} runs are a histogram.")
     if study.varying:
-        sentences.append(
-            "Of a grid the point with the highest mean final return; thin lines are the other points."
-        )
-    if any(group.broke_down.any() for group in study.groups):
+        points = max(len(study.select(*panel, algo)) for panel in study.panels for algo in study.algorithms)
+        others = "thin lines are the other points"
+        if points > MOST_LINES + 1:
+            others = f"of more than {MOST_LINES} other points the thin lines hold the middle 90%"
+        sentences.append(f"Of a grid the point with the highest mean final return; {others}.")
+    if any(group.stopped and group.broke_down.any() for group in study.groups):
         sentences.append(
             "Runs that stopped (crosses) have the idle policy's mean return from the episode on in which they stopped."
         )
-    return " ".join([*sentences, *([CUT] if cut else [])])
+    return " ".join([*sentences, *left_out(study.panels), *([CUT] if cut else [])])
+
+
+def left_out(panels: Sequence[Any]) -> list[str]:
+    """What a caption says of panels that are not drawn."""
+    some = f"These are the first {MOST_PANELS} of {len(panels)} panels; all numbers are in summary.csv."
+    return [some] if len(panels) > MOST_PANELS else []
 
 
 def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | None:
@@ -100,18 +122,16 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
     study, looks = summary.study, style.looks(summary.study.algorithms)
     if corrections.empty:
         return None
-    dimensions = sorted(corrections["action_dim"].unique().tolist())
-    groups = [group for group in study.groups if group.runs and summary.of(group).best]
-    rates = {(group, d): common_rates(group, corrections, d) for group in groups for d in dimensions}
+    rates = _rates(summary, corrections)
+    dimensions = unique(dimension for _, dimension in rates)
     longest = max((rate.shape[1] for rate in rates.values()), default=0)
     if not longest:
         return None
     several = len(dimensions) > 1
-    panels = [(*panel, d) for d in dimensions for panel in study.panels]
+    panels = [(*panel, d) for d in dimensions for panel in study.panels][:MOST_PANELS]
     titles = [
         title + (f", {words.action(study.env, d)}" if several else "")
-        for d in dimensions
-        for title in _titles(study)
+        for title, (*_, d) in zip(_titles(study, [(o, e) for o, e, _ in panels]), panels, strict=True)
     ]
     with style.publication():
         figure, axes = style.panels(titles, len(study.errors) if several else _columns(study))
@@ -130,14 +150,44 @@ def learning_rates(summary: Summary, corrections: pd.DataFrame) -> Drawing | Non
         "corrections."
     ]
     sentences += ["Of a grid the point with the highest mean final return."] if study.varying else []
+    if any(group.runs > MOST_RATED for group, _ in rates):
+        sentences.append(f"Of more than {MOST_RATED:,} runs those with the lowest seeds.")
+    sentences += left_out([(*panel, d) for d in dimensions for panel in study.panels])
     return Drawing(figure, "Learning rates", " ".join([*sentences, *([CUT] if cut else [])]))
 
 
-def _titles(study: Study) -> list[str]:
+def shown_rates(summary: Summary) -> list[Chosen]:
+    """The runs whose learning rates are drawn: of the best point of each algorithm in each panel."""
+    return [
+        Chosen(group.algo, group.oracle, group.error, dict(group.point.values), group.seeds[:MOST_RATED])
+        for group in (row.group for row in summary.leading if row.best)
+    ]
+
+
+def _rates(summary: Summary, corrections: pd.DataFrame) -> dict[tuple[Group, int], np.ndarray]:
+    """The first learning rates of what `shown_rates` chooses, for each action dimension."""
+    dimensions = sorted(corrections["action_dim"].unique().tolist())
+    panels = dict(list(corrections.groupby(["oracle", "error", "algo"], sort=False)))
+    rates = {}
+    for group in (row.group for row in summary.leading if row.best):
+        rows = panels.get((group.oracle, group.error, group.algo))
+        if rows is not None:
+            some = slice(MOST_RATED)
+            few = replace(
+                group,
+                seeds=group.seeds[some],
+                returns=group.returns[some],
+                corrections=group.corrections[some],
+            )
+            rates |= {(group, dimension): common_rates(few, rows, dimension) for dimension in dimensions}
+    return rates
+
+
+def _titles(study: Study, panels: Sequence[tuple[str, float]]) -> list[str]:
     several = len({oracle for oracle, _ in study.panels}) > 1
     return [
         (f"oracle {oracle}, " if several else "") + f"{words.percent(error)} error"
-        for oracle, error in study.panels
+        for oracle, error in panels
     ]
 
 
@@ -146,14 +196,23 @@ def _columns(study: Study) -> int | None:
     return len(study.errors) if len({oracle for oracle, _ in study.panels}) > 1 else None
 
 
-def _curve(axis: Axes, group: Group, look: style.Look, leading: bool) -> None:
-    colour, episode = look.colour, np.arange(1, group.returns.shape[1] + 1)
-    smooth = walking_mean(group.returns, WINDOW)
-    if not leading:
-        axis.plot(episode, smooth.mean(axis=0), color=colour, linewidth=0.5, alpha=0.35, zorder=2)
-        return
-    axis.plot(episode, group.returns.mean(axis=0), color=colour, linewidth=0.8, alpha=0.35, zorder=3)
-    line(axis, episode, mean_band(smooth), look)
+def _curve(axis: Axes, group: Group, look: style.Look) -> None:
+    episode = np.arange(1, group.returns.shape[1] + 1)
+    axis.plot(episode, group.returns.mean(axis=0), color=look.colour, linewidth=0.8, alpha=0.35, zorder=3)
+    line(axis, episode, mean_band(walking_mean(group.returns, WINDOW)), look)
+
+
+def _others(axis: Axes, groups: Sequence[Group], look: style.Look) -> None:
+    """The points of a grid that are not the best: a thin line each, or the range of most of them."""
+    smooth = [walking_mean(group.returns, WINDOW).mean(axis=0) for group in groups]
+    thin: dict[str, Any] = {"color": look.colour, "linewidth": 0.5, "alpha": 0.35, "zorder": 2}
+    if len(smooth) > MOST_LINES:
+        smooth = list(np.quantile(smooth, (0.05, 0.95), axis=0))
+        axis.fill_between(
+            np.arange(1, len(smooth[0]) + 1), *smooth, color=look.colour, alpha=0.1, linewidth=0, zorder=2
+        )
+    for curve in smooth:
+        axis.plot(np.arange(1, len(curve) + 1), curve, **thin)
 
 
 def line(axis: Axes, x: np.ndarray, band: Band, look: style.Look) -> None:
@@ -161,52 +220,6 @@ def line(axis: Axes, x: np.ndarray, band: Band, look: style.Look) -> None:
     options = {"marker": "o" if len(x) == 1 else None, "markersize": 3} | look.line(len(x))
     axis.fill_between(x, band.lower, band.upper, color=look.colour, alpha=0.2, linewidth=0, zorder=3)
     axis.plot(x, band.mean, zorder=4, **options)
-
-
-def _strip(axis: Axes, groups: Sequence[Group], study: Study) -> None:
-    """Right of the last episode, on the panel's scale: a dot for the final return of each run, by algorithm.
-
-    Outcomes are often of two kinds, which no mean tells. Dots that would cover each other lie side by side.
-    """
-    (first, last), (low, high) = (1, max(study.episodes, 2)), axis.get_ylim()
-    column = STRIP * (last - first)
-    begin = last + 0.6 * column
-    axis.set_xlim(first, begin + column * len(study.algorithms))
-    axis.spines["bottom"].set_bounds(first, last)
-    looks = style.looks(study.algorithms)
-    for group in groups:
-        look, values = looks[group.algo], group.final.values
-        middle = begin + column * (study.algorithms.index(group.algo) + 0.5)
-        x = middle + column * _side_by_side((values - low) / (high - low))
-        for chosen, marker in ((~group.broke_down, look.marker or "."), (group.broke_down, "x")):
-            axis.plot(
-                x[chosen],
-                values[chosen],
-                linestyle="none",
-                marker=marker,
-                markersize=4.0 if marker == "." else 3.0,
-                markeredgewidth=0.6 if marker == "x" else 0.0,
-                color=look.colour,
-                alpha=0.6,
-            )
-        bar = [middle - 0.45 * column, middle + 0.45 * column]
-        axis.plot(bar, [values.mean()] * 2, color=style.INK, linewidth=1.0, solid_capstyle="butt")
-    if axis.xaxis.get_tick_params()["labelbottom"]:
-        middle = begin + column * len(study.algorithms) / 2
-        axis.text(
-            middle, -0.03, "final", transform=axis.get_xaxis_transform(), fontsize=7.0, ha="center", va="top"
-        )
-
-
-def _side_by_side(heights: Float[np.ndarray, "runs"]) -> Float[np.ndarray, "runs"]:
-    """Shifts, in [-0.4, 0.4], of dots at these parts of the height of their axis: dots of one fortieth share a row."""
-    shift = np.zeros(len(heights))
-    rows = np.floor(40 * heights)
-    for row in np.unique(rows):
-        members = np.flatnonzero(rows == row)
-        width = min(0.8, 0.14 * (len(members) - 1))
-        shift[members] = np.linspace(-width / 2, width / 2, len(members)) if len(members) > 1 else 0.0
-    return shift
 
 
 def _baselines(axis: Axes, oracle: Baseline, idle: Baseline) -> list[float]:

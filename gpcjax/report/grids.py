@@ -1,5 +1,7 @@
 """Final return over the settings that a grid varies: heatmaps for two of them, lines for one."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gpcjax.report import style, words
-from gpcjax.report.curves import CUT
+from gpcjax.report.curves import CUT, MOST_PANELS, left_out
 from gpcjax.report.groups import Group, unique
 from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Row, Summary
@@ -24,6 +26,15 @@ COLOURS = "cividis"
 
 MOST_NUMBERS = 100
 """A panel with more points shows colours and marks only."""
+
+MOST_MARKS = 1000
+"""A heatmap with more points shows the best one alone: dots on those that are tied with it would cover the colours."""
+
+MOST_TICKS = 12
+"""Values of an axis that are written: of more every second, third and so on."""
+
+MOST_POINTS = 100
+"""Of a line with a marker each; of more the best one has one, and those that are tied with it small dots."""
 
 BEST, TIED = "\N{BLACK STAR}", "\N{BULLET}"
 
@@ -54,7 +65,8 @@ def final_returns(summary: Summary) -> Drawing | None:
     others. With one setting the algorithms share a panel of lines with their 95% intervals. A star marks the best
     point, a dot the points tied with it. None if nothing varies or no run can be compared.
     """
-    panels, study = _panels(summary), summary.study
+    every, study = _panels(summary), summary.study
+    panels = every[:MOST_PANELS]
     if not any(group.runs for panel in panels for group in panel.groups):
         return None
     with style.publication():
@@ -73,6 +85,11 @@ def final_returns(summary: Summary) -> Drawing | None:
         f"{', of lines with its 95% interval' if lines else ''}. The star is the best point; points that are not "
         "significantly worse on the same seeds are tied with it."
     ]
+    if any(_fields_of(panel) > MOST_MARKS for panel in panels):
+        sentences.append(
+            f"Where there are more than {MOST_MARKS:,} points those that are tied are in summary.csv alone."
+        )
+    sentences += left_out(every)
     if len(study.varying) > 2:
         sentences.append("A field shows the best over the settings that are not on its axes.")
     return Drawing(figure, "Final return over the grid", " ".join([*sentences, *([CUT] if cut else [])]))
@@ -122,33 +139,41 @@ def _draw_heatmaps(
 def _fields(panel: _Panel, summary: Summary) -> _Fields:
     across, up = panel.axes
     x, y = _values(panel.groups, across), _values(panel.groups, up)
+    column, line = ({value: place for place, value in enumerate(values)} for values in (x, y))
     final = np.full((len(y), len(x)), np.nan)
     best, tied = np.zeros(final.shape, bool), np.zeros(final.shape, bool)
     for group in panel.groups:
         if group.runs:
-            place = y.index(dict(group.point.values)[up]), x.index(dict(group.point.values)[across])
-            final[place] = np.fmax(final[place], summary.of(group).final.estimate)
-            best[place] |= summary.of(group).best
-            tied[place] |= summary.of(group).tied
+            values, row = dict(group.point.values), summary.of(group)
+            place = line[values[up]], column[values[across]]
+            final[place] = np.fmax(final[place], row.final.estimate)
+            best[place] |= row.best
+            tied[place] |= row.tied
     return _Fields(x, y, final, best, tied)
 
 
 def _heatmap(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize) -> None:
     axis.set_facecolor("#e4e4e4")  # a point without a run
     axis.imshow(field.final, origin="lower", aspect="auto", cmap=COLOURS, norm=scale)
-    axis.set_xticks(range(len(field.x)), [f"{value:g}" for value in field.x])
-    axis.set_yticks(range(len(field.y)), [f"{value:g}" for value in field.y])
+    for values, ticks, room in ((field.x, axis.set_xticks, 6), (field.y, axis.set_yticks, MOST_TICKS)):
+        thinned = len(values) > MOST_TICKS
+        labelled = range(0, len(values), -(-len(values) // room) if thinned else 1)
+        ticks(labelled, [f"{values[place]:.{3 if thinned else 6}g}" for place in labelled])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
     axis.set_xlabel(words.math_symbol(names[0]))
     axis.set_ylabel(words.math_symbol(names[1]))
+    if field.final.size > MOST_MARKS:
+        up, across = np.nonzero(field.best)
+        axis.plot(across, up, "*", color="white", markeredgecolor=style.INK, markersize=9, clip_on=False)
+        return
     decimals = words.places(field.final.ravel().tolist())
     size = 6.5 if field.final.size <= 30 else 5.0
     for place, value in np.ndenumerate(field.final):
-        if not np.isnan(value):
-            mark = BEST if field.best[place] else TIED if field.tied[place] else ""
-            number = words.number(value, decimals) if field.final.size <= MOST_NUMBERS else ""
-            text = "\n".join(filter(None, [mark, number]))
+        mark = BEST if field.best[place] else TIED if field.tied[place] else ""
+        number = words.number(value, decimals) if field.final.size <= MOST_NUMBERS else ""
+        text = "\n".join(filter(None, [mark, number]))
+        if text and not np.isnan(value):
             axis.text(
                 place[1], place[0], text, color=_ink(scale(value)), fontsize=size, ha="center", va="center"
             )
@@ -172,13 +197,20 @@ def _lines(axis: Axes, panel: _Panel, summary: Summary) -> None:
         colour, dash = looks[algo].colour, looks[algo].dash
         axis.fill_between(x, estimates[:, 1], estimates[:, 2], color=colour, alpha=0.2, linewidth=0)
         axis.plot(x, estimates[:, 0], color=colour, linestyle=dash)
+        many = len(groups) > MOST_POINTS
         for group, value, (estimate, _, _) in zip(groups, x, estimates, strict=True):
-            axis.plot(value, estimate, zorder=4, **_marker(colour, summary.of(group)))
+            row = summary.of(group)
+            if row.best or not many:
+                axis.plot(value, estimate, zorder=4, **_marker(colour, row))
+        if many:
+            tied = np.array([summary.of(group).tied for group in groups])
+            axis.plot(x[tied], estimates[tied, 0], ".", color=colour, markersize=2)
     values = _values(panel.groups, name)
     if values[0] > 0 and values[-1] >= 5 * values[0]:
         axis.set_xscale("log")
-    axis.set_xticks(values, [f"{value:g}" for value in values], minor=False)
-    axis.set_xticks([], minor=True)
+    if len(values) <= MOST_TICKS:
+        axis.set_xticks(values, [f"{value:g}" for value in values], minor=False)
+        axis.set_xticks([], minor=True)
     axis.set_xlabel(words.math_symbol(name))
 
 
@@ -211,13 +243,20 @@ def _legend(panels: Sequence[_Panel], summary: Summary) -> list[Artist]:
     ]
     plain: dict[str, Any] = {"linestyle": "none", "color": style.INK}
     handles.append(Line2D([], [], marker="*", markersize=8, markeredgewidth=0, label="best", **plain))
-    handles.append(Line2D([], [], marker="o", markersize=4, label="tied with it", **plain))
-    if lines:
+    if lines or any(_fields_of(panel) <= MOST_MARKS for panel in panels):
+        handles.append(Line2D([], [], marker="o", markersize=4, label="tied with it", **plain))
+    counts = [Counter(group.algo for group in panel.groups).values() for panel in lines]
+    if any(min(each) <= MOST_POINTS for each in counts):
         worse = Line2D(
             [], [], marker="o", markersize=4, markerfacecolor="white", label="significantly worse", **plain
         )
         handles.append(worse)
     return handles
+
+
+def _fields_of(panel: _Panel) -> int:
+    """How many fields a heatmap has; 0 for lines."""
+    return math.prod(len(_values(panel.groups, name)) for name in panel.axes) if len(panel.axes) == 2 else 0
 
 
 def _values(groups: Sequence[Group], name: str) -> list[float]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -10,7 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in
+from gpcjax.report.arranged import Lines, arranged, broken, compared_length, parted
 from gpcjax.report.statistics import Scores, first_crossing
+from gpcjax.sweep.counted import Coded, Episodes, joint
 
 T = TypeVar("T")
 
@@ -50,6 +53,11 @@ class Point:
     """Values of the settings that vary; a setting that does not concern the algorithm is left out."""
 
     values: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The settings that concern the algorithm."""
+        return tuple(name for name, _ in self.values)
 
     def get(self, name: str) -> float | None:
         return dict(self.values).get(name)
@@ -96,7 +104,8 @@ class Group:
     @property
     def uncounted(self) -> tuple[Stop, ...]:
         """The stopped runs that are in no number."""
-        return tuple(stop for stop in self.stopped if stop.seed not in self.seeds)
+        counted = np.isin([stop.seed for stop in self.stopped], self.seeds)
+        return tuple(stop for stop, there in zip(self.stopped, counted, strict=True) if not there)
 
     @property
     def final(self) -> Scores:
@@ -137,16 +146,16 @@ class Study:
     oracles: Mapping[str, Baseline]
     manifest: Mapping[str, Any]
 
-    @property
+    @cached_property
     def algorithms(self) -> tuple[str, ...]:
         order = self.manifest.get("specification", {}).get("algo", built_in("learner"))
         return tuple(sorted({group.algo for group in self.groups}, key=lambda algo: _rank(algo, order)))
 
-    @property
+    @cached_property
     def errors(self) -> tuple[float, ...]:
         return tuple(sorted(unique(group.error for group in self.groups)))
 
-    @property
+    @cached_property
     def panels(self) -> tuple[tuple[str, float], ...]:
         """Each oracle with each error rate: what is compared with each other."""
         return unique((group.oracle, group.error) for group in self.groups)
@@ -156,11 +165,15 @@ class Study:
 
     def select(self, oracle: str, error: float, algo: str | None = None) -> tuple[Group, ...]:
         """The groups of one panel, of one algorithm if it is given."""
-        return tuple(
-            group
-            for group in self.groups
-            if (group.oracle, group.error) == (oracle, error) and algo in (None, group.algo)
-        )
+        return tuple(self._selections.get((oracle, error, algo), ()))
+
+    @cached_property
+    def _selections(self) -> Mapping[tuple[str, float, str | None], list[Group]]:
+        found: dict[tuple[str, float, str | None], list[Group]] = {}
+        for group in self.groups:
+            for algo in (None, group.algo):
+                found.setdefault((group.oracle, group.error, algo), []).append(group)
+        return found
 
     def axes(self, algo: str) -> tuple[str, ...]:
         """The settings that take several values for `algo`."""
@@ -168,33 +181,30 @@ class Study:
         return tuple(name for name in self.varying if len({point.get(name) for point in points}) > 1)
 
 
-def gather(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Study:
+def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> Study:
     """Sort the rows of a store into groups, ordered by oracle, error, algorithm, point.
 
     Raises:
         UserError: there is no row.
     """
-    if episodes.empty:
-        raise UserError("the store holds no episodes: run the sweep first")
     specification = manifest.get("specification", {})
     baselines = manifest.get("baselines") or {}
-    varying = tuple(name for name in manifest.get("varying", ()) if name in episodes.columns)
-    keys, idle = ["oracle", "error", "algo", *varying], _baseline(baselines.get("idle"))
-    length = _length(episodes, keys, specification.get("episodes"))
-    groups = [
-        _group(rows, varying, length, idle) for _, rows in episodes.groupby(keys, dropna=False, sort=False)
-    ]
-    oracles, algorithms = specification.get("oracle", ()), specification.get("algo", built_in("learner"))
-
-    def place(group: Group) -> tuple[Any, ...]:
-        algorithm = _rank(group.algo, algorithms)
-        return _rank(group.oracle, oracles), group.error, algorithm, group.point.values
-
+    if isinstance(episodes, pd.DataFrame):
+        if episodes.empty:
+            raise UserError("the store holds no episodes: run the sweep first")
+        varying = [name for name in manifest.get("varying", ()) if name in episodes.columns]
+        episodes = Episodes.of(episodes, varying)
+    idle = _baseline(baselines.get("idle"))
+    over = broken(episodes)
+    length = compared_length(episodes, over, specification.get("episodes"))
+    keys, number = _keys(episodes, specification)
+    runs = arranged(episodes, number, over, length, idle.mean)
+    lines = parted(episodes, runs, number[runs.cell], len(keys), stops_count=idle.n > 0)
     return Study(
-        env=str(specification.get("env") or episodes["env"].iloc[0]),
-        groups=tuple(sorted(groups, key=place)),
+        env=str(specification.get("env") or episodes.env),
+        groups=tuple(_group(key, of) for key, of in zip(keys, lines, strict=True)),
         episodes=length,
-        varying=varying,
+        varying=tuple(list(episodes.settings)[3:]),
         idle=idle,
         oracles={name: _baseline(numbers) for name, numbers in (baselines.get("oracles") or {}).items()},
         manifest=manifest,
@@ -206,60 +216,64 @@ def unique(values: Iterable[T]) -> tuple[T, ...]:
     return tuple(dict.fromkeys(values))
 
 
-def _broken(rows: pd.DataFrame) -> Bool[np.ndarray, "rows"]:
-    """The episodes in which a run stopped."""
-    return np.asarray(rows["status"] != "ok") | ~np.isfinite(rows["return"].to_numpy(np.float64))
+class _Key(NamedTuple):
+    """What the runs of a group have in common."""
+
+    oracle: str
+    error: float
+    algo: str
+    point: Point
 
 
-def _length(episodes: pd.DataFrame, keys: Sequence[str], specified: int | None) -> int:
-    """How long runs are compared: what is specified, or as far as the longest run is that is still to be finished."""
-    run = episodes.groupby([*keys, "seed"], dropna=False, sort=False).ngroup().to_numpy()
-    over = np.bincount(run, weights=_broken(episodes))[run] > 0
-    episode = episodes["episode"].to_numpy(np.int64)
-    if over.all():
-        return int(specified or episode.max())
-    reached = int(episode[~over].max())
-    return min(specified, reached) if specified else reached
+def _keys(
+    episodes: Episodes, specification: Mapping[str, Any]
+) -> tuple[list[_Key], Int[np.ndarray, "cells"]]:
+    """The groups in their order, and the number of that of each cell."""
+    oracles, algorithms = specification.get("oracle", ()), specification.get("algo", built_in("learner"))
+    settings = episodes.settings
+    _, once, number = np.unique(
+        joint([column.codes for column in settings.values()]), return_index=True, return_inverse=True
+    )
+    columns = {name: _values(column, once) for name, column in settings.items()}
+    varying = [name for name in columns if name not in ("algo", "oracle", "error")]
+    points = zip(*(columns[name] for name in varying), strict=True) if varying else [()] * len(once)
+    keys = [
+        _Key(str(oracle), float(error), str(algo), _point(varying, values))
+        for oracle, error, algo, values in zip(
+            columns["oracle"], columns["error"], columns["algo"], points, strict=True
+        )
+    ]
+
+    def place(index: int) -> tuple[Any, ...]:
+        key = keys[index]
+        return _rank(key.oracle, oracles), key.error, _rank(key.algo, algorithms), key.point.values
+
+    order = sorted(range(len(keys)), key=place)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return [keys[index] for index in order], rank[number]
 
 
-def _group(rows: pd.DataFrame, varying: Sequence[str], length: int, idle: Baseline) -> Group:
-    key = rows.iloc[0]
-    seeds, run = np.unique(rows["seed"].to_numpy(np.int64), return_inverse=True)
-    episode, status = rows["episode"].to_numpy(np.int64), rows["status"].to_numpy(str)
-    longest = max(length, int(episode.max()))
-    returns, corrections = np.full((len(seeds), longest), np.nan), np.zeros((len(seeds), longest))
-    there = np.zeros(returns.shape, dtype=bool)
-    returns[run, episode - 1] = rows["return"].to_numpy(np.float64)
-    corrections[run, episode - 1] = rows["corrections"].to_numpy(np.float64)
-    there[run, episode - 1] = True
-    stops: dict[int, Stop] = {}
-    for i in sorted(np.flatnonzero(_broken(rows)), key=lambda i: episode[i]):
-        stops.setdefault(run[i], Stop(int(seeds[run[i]]), int(episode[i]), _reason(status[i])))
-    for place, stop in stops.items():
-        returns[place, stop.episode - 1 :] = idle.mean
-        corrections[place, stop.episode :] = 0.0
-        there[place, stop.episode - 1 :] = True
-    whole = np.asarray(there[:, :length].all(axis=1))
-    broke = np.isin(np.arange(len(seeds)), list(stops))
-    kept = whole & (~broke | (idle.n > 0))
+def _group(key: _Key, lines: Lines) -> Group:
     return Group(
-        oracle=str(key["oracle"]),
-        error=float(key["error"]),
-        algo=str(key["algo"]),
-        point=Point(tuple((name, float(key[name])) for name in varying if not pd.isna(key[name]))),
-        seeds=seeds[kept],
-        returns=returns[kept, :length],
-        corrections=corrections[kept, :length],
-        stopped=tuple(stops[place] for place in sorted(stops) if whole[place]),
-        unfinished=tuple(seeds[~whole].tolist()),
-        limits=Limits(
-            *(int(rows[name].to_numpy()[kept[run]].sum()) for name in ("length", "clipped", "full"))
-        ),
+        *key,
+        seeds=lines.seeds,
+        returns=lines.returns,
+        corrections=lines.corrections,
+        stopped=tuple(Stop(*stop) for stop in lines.stopped),
+        unfinished=lines.unfinished,
+        limits=Limits(*lines.totals),
     )
 
 
-def _reason(status: str) -> str:
-    return "non-finite" if status == "ok" else status
+def _values(column: Coded, cells: Int[np.ndarray, "groups"]) -> list[Any]:
+    return [column.values[code] if code >= 0 else None for code in column.codes[cells].tolist()]
+
+
+def _point(names: Sequence[str], values: Sequence[float | None]) -> Point:
+    return Point(
+        tuple((name, float(value)) for name, value in zip(names, values, strict=True) if value is not None)
+    )
 
 
 def _baseline(numbers: Mapping[str, Any] | None) -> Baseline:

@@ -16,8 +16,8 @@ from gpcjax.errors import UserError
 from gpcjax.report import content, curves, grids, html, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
-from gpcjax.sweep import reading
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.counted import corrections_of, read_counted
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.runfolder import check_report, check_writable
 
@@ -35,7 +35,13 @@ def draw(out: Any) -> Summary:
     out = checked_path("out", out)
     check_report(out)
     check_writable(out)
-    return draw_frames(out, *reading.read(out, tell))
+    episodes, manifest = read_counted(out, tell)
+    if episodes is None:
+        raise UserError("the store holds no episodes: run the sweep first")
+    study = gather(episodes, manifest)
+    del episodes  # what is drawn is in the study
+    summary = summarise(study)
+    return _written(out, summary, corrections_of(out, manifest, curves.shown_rates(summary)))
 
 
 def draw_frames(
@@ -46,7 +52,10 @@ def draw_frames(
     Raises:
         UserError: there is no episode, or a file cannot be written.
     """
-    summary = summarise(gather(episodes, manifest))
+    return _written(out, summarise(gather(episodes, manifest)), corrections)
+
+
+def _written(out: Path, summary: Summary, corrections: pd.DataFrame) -> Summary:
     drawings = {
         "curves": curves.learning_curves(summary),
         "rates": curves.learning_rates(summary, corrections),

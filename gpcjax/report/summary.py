@@ -1,22 +1,27 @@
 """The numbers of a study: a row for each group and each pair of algorithms, and which points of a grid are best."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from gpcjax.report.groups import Group, Point, Study, unique
+from gpcjax.report.groups import Group, Point, Study
 from gpcjax.report.statistics import (
     Interval,
+    Scores,
     best_and_tied,
-    mean_interval,
-    median_interval,
-    paired_difference,
+    mean_intervals,
+    median_intervals,
+    paired_differences,
 )
+
+MOST_PAIRS = 100_000
+"""Of points of two algorithms with one oracle and error rate."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,15 @@ class Difference:
 class Summary:
     """What a report says in numbers.
 
-    `rows` are in the order of `study.groups`. `missing` counts planned cells without any episode. `files` are those
-    that were written.
+    `rows` are in the order of `study.groups`. `missing` counts planned cells without any episode, `unpaired` the pairs
+    of points that `pairs_of` leaves out. `files` are those that were written.
     """
 
     study: Study
     rows: tuple[Row, ...]
     differences: tuple[Difference, ...]
     missing: int = 0
+    unpaired: int = 0
     files: tuple[Path, ...] = ()
 
     @property
@@ -82,7 +88,7 @@ class Summary:
         """Runs whose episodes are not all there yet."""
         return sum(len(group.unfinished) for group in self.study.groups)
 
-    @property
+    @cached_property
     def leading(self) -> tuple[Row, ...]:
         """One row for each algorithm in each panel: its best point, or the first if no run can be compared."""
         chosen: dict[tuple[str, float, str], Row] = {}
@@ -94,7 +100,11 @@ class Summary:
 
     def of(self, group: Group) -> Row:
         """The numbers of `group`."""
-        return next(row for row in self.rows if row.group is group)
+        return self._row_of[group]
+
+    @cached_property
+    def _row_of(self) -> dict[Group, Row]:
+        return {row.group: row for row in self.rows}
 
     def table(self) -> pd.DataFrame:
         """What summary.csv holds: tidy, an estimate `x` with its interval in `x_lower` and `x_upper`."""
@@ -111,48 +121,104 @@ class Summary:
 def summarise(study: Study) -> Summary:
     """All numbers of `study`."""
     found = sum(group.runs + len(group.uncounted) + len(group.unfinished) for group in study.groups)
+    rows = _rows(study)
+    differences, unpaired = _differences(study, {row.group for row in rows if row.best})
     return Summary(
         study=study,
-        rows=tuple(
-            row
-            for members in _grids(study)
-            for row in _rows(study, members, *best_and_tied([group.final for group in members]))
-        ),
-        differences=tuple(
-            Difference(first, second, *paired_difference(first.area, second.area))
-            for oracle, error in study.panels
-            for one, other in itertools.combinations(study.algorithms, 2)
-            for first in study.select(oracle, error, one)
-            for second in study.select(oracle, error, other)
-            if first.point.agrees(second.point)
-        ),
+        rows=rows,
+        differences=differences,
         missing=max(0, int(study.manifest.get("cells") or 0) - found),
+        unpaired=unpaired,
     )
 
 
-def _grids(study: Study) -> list[tuple[Group, ...]]:
-    """The points of each algorithm in each panel, in the order of the groups."""
-    keys = unique((group.oracle, group.error, group.algo) for group in study.groups)
-    return [study.select(*key) for key in keys]
+def _rows(study: Study) -> tuple[Row, ...]:
+    """The numbers of each group, in their order: of all groups at once, for what they have in common."""
+    groups = study.groups
+    finals = [group.final for group in groups]
+    closed = [group.closed_after(study.idle, study.oracle(group.oracle)).values for group in groups]
+    columns = (
+        mean_intervals([final.values for final in finals]),
+        mean_intervals([group.area.values for group in groups]),
+        median_intervals(closed),
+        [int(np.isinf(times).sum()) for times in closed],
+        mean_intervals([group.corrections_used.values for group in groups]),
+        *_best_and_tied(groups, finals),
+    )
+    return tuple(itertools.starmap(Row, zip(groups, *columns, strict=True)))
 
 
-def _rows(study: Study, groups: Sequence[Group], best: int | None, tied: np.ndarray) -> list[Row]:
-    rows = []
-    for index, group in enumerate(groups):
-        closed = group.closed_after(study.idle, study.oracle(group.oracle)).values
-        rows.append(
-            Row(
-                group=group,
-                final=mean_interval(group.final.values[:, None]),
-                area=mean_interval(group.area.values[:, None]),
-                closed=median_interval(closed),
-                never=int(np.isinf(closed).sum()),
-                corrections=mean_interval(group.corrections_used.values[:, None]),
-                best=index == best,
-                tied=bool(tied[index]),
-            )
-        )
-    return rows
+def _best_and_tied(groups: Sequence[Group], finals: Sequence[Scores]) -> tuple[list[bool], list[bool]]:
+    """Whether each group is the best point of its algorithm in its panel, and whether it is tied with that."""
+    grids: dict[tuple[str, float, str], list[int]] = {}
+    for place, group in enumerate(groups):
+        grids.setdefault((group.oracle, group.error, group.algo), []).append(place)
+    best, tied = np.zeros((2, len(groups)), bool)
+    for places in grids.values():
+        which, these = best_and_tied([finals[place] for place in places])
+        tied[places] = these
+        if which is not None:
+            best[places[which]] = True
+    return best.tolist(), tied.tolist()
+
+
+def _differences(study: Study, best: Set[Group]) -> tuple[tuple[Difference, ...], int]:
+    """Of each two algorithms in each panel, and how many pairs of points were left out."""
+    found = [
+        pairs_of(study.select(oracle, error, one), study.select(oracle, error, other), best)
+        for oracle, error in study.panels
+        for one, other in itertools.combinations(study.algorithms, 2)
+    ]
+    pairs = [pair for those, _ in found for pair in those]
+    areas = {group: group.area for group in dict.fromkeys(itertools.chain.from_iterable(pairs))}
+    numbers = paired_differences([(areas[first], areas[second]) for first, second in pairs])
+    differences = tuple(Difference(*pair, *number) for pair, number in zip(pairs, numbers, strict=True))
+    return differences, sum(left_out for _, left_out in found)
+
+
+def pairs_of(
+    firsts: Sequence[Group], seconds: Sequence[Group], best: Set[Group]
+) -> tuple[list[tuple[Group, Group]], int]:
+    """The points of two algorithms that agree in the settings that both have, in the order of the first, then second.
+
+    Where two algorithms share few settings, points of the one meet many of the other. Of more than `MOST_PAIRS` pairs
+    there are those alone of which one is the best point of its algorithm; the second number is how many are left out.
+    """
+    kinds: dict[tuple[str, ...], list[int]] = {}
+    for place, group in enumerate(seconds):
+        kinds.setdefault(group.point.names, []).append(place)
+    partners: dict[tuple[tuple[str, ...], tuple[str, ...]], dict[tuple[float, ...], list[int]]] = {}
+    met: list[list[int]] = []
+    for group in firsts:
+        mine, lists = dict(group.point.values), []
+        for names, places in kinds.items():
+            shared = tuple(name for name in names if name in mine)
+            if (names, shared) not in partners:
+                partners[names, shared] = _by_values(seconds, places, shared)
+            lists.append(partners[names, shared].get(tuple(mine[name] for name in shared), []))
+        met.append(lists[0] if len(lists) == 1 else sorted(itertools.chain(*lists)))
+    count = sum(map(len, met))
+    if count > MOST_PAIRS:
+        leaders = [place for place, group in enumerate(seconds) if group in best]
+        met = [
+            places
+            if first in best
+            else [place for place in leaders if seconds[place].point.agrees(first.point)]
+            for first, places in zip(firsts, met, strict=True)
+        ]
+    pairs = [(first, seconds[place]) for first, places in zip(firsts, met, strict=True) for place in places]
+    return pairs, count - len(pairs)
+
+
+def _by_values(
+    groups: Sequence[Group], places: Sequence[int], names: Sequence[str]
+) -> dict[tuple[float, ...], list[int]]:
+    """The places by the values of these settings."""
+    found: dict[tuple[float, ...], list[int]] = {}
+    for place in places:
+        values = dict(groups[place].point.values)
+        found.setdefault(tuple(values[name] for name in names), []).append(place)
+    return found
 
 
 def _row_columns(study: Study, row: Row) -> dict[str, Any]:

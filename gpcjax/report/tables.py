@@ -7,10 +7,17 @@ from collections.abc import Sequence
 from gpcjax.report import words
 from gpcjax.report.document import Kind, Sheet
 from gpcjax.report.groups import CLOSED_GAP, FINAL_EPISODES, Group, Study, unique
+from gpcjax.report.statistics import MANY_RUNS
 from gpcjax.report.summary import Difference, Row, Summary
 
 MOST_ROWS = 60
 """Longer tables of differences are left to the files."""
+
+MOST_LEADING = 300
+"""Rows of a table of results, limits or best points: of more the first."""
+
+MOST_STOPPED = 30
+"""Rows whose stopped runs are listed."""
 
 CLOSED = f"{100 * CLOSED_GAP:.0f}%"
 
@@ -21,10 +28,7 @@ KINDS: dict[str, Kind] = {"error": "word", "algo": "word", "difference": "word"}
 def result_sheets(summary: Summary) -> list[Sheet]:
     """Algorithm by error rate, a sheet for each oracle; of a grid the best points."""
     return [
-        _results(
-            summary.study, oracle, [row for row in summary.leading if row.group.oracle == oracle], grid=False
-        )
-        for oracle in _oracles(summary)
+        _results(summary.study, oracle, _leading(summary, oracle), grid=False) for oracle in _oracles(summary)
     ]
 
 
@@ -42,7 +46,7 @@ def point_sheets(summary: Summary) -> list[Sheet]:
     """The best point of each algorithm that has several, and how many are tied with it; a sheet for each oracle."""
     sheets = []
     for oracle in _oracles(summary):
-        best = [row for row in summary.leading if row.group.oracle == oracle and row.best]
+        best = [row for row in _leading(summary, oracle) if row.best]
         decimals = words.places([row.final.estimate for row in best])
         rows, errors = [], []
         for row in best:
@@ -113,14 +117,16 @@ def warnings(summary: Summary) -> list[str]:
 
 
 def stopped_lines(study: Study, most: int = 8) -> list[str]:
-    """Where runs stopped, a line a group with at most `most` seeds."""
+    """Where runs stopped, a line a group with at most `most` seeds; of many groups the first."""
     lines = []
-    for group in study.groups:
-        if group.stopped:
-            shown = [f"{stop.seed} (episode {stop.episode})" for stop in group.stopped[:most]]
-            rest = len(group.stopped) - len(shown)
-            seeds = ", ".join(shown) + (f" and {rest} more" if rest else "")
-            lines.append(f"{_name(group, study)}: seed {seeds}")
+    groups = [group for group in study.groups if group.stopped]
+    for group in groups[:MOST_STOPPED]:
+        shown = [f"{stop.seed} (episode {stop.episode})" for stop in group.stopped[:most]]
+        rest = len(group.stopped) - len(shown)
+        seeds = ", ".join(shown) + (f" and {rest} more" if rest else "")
+        lines.append(f"{_name(group, study)}: seed {seeds}")
+    if len(groups) > MOST_STOPPED:
+        lines.append(f"and runs of {len(groups) - MOST_STOPPED:,} more rows, see summary.csv")
     return lines
 
 
@@ -128,7 +134,7 @@ def reading(summary: Summary) -> list[str]:
     """How to read the results."""
     lines = [
         f"Final return: mean of a run's last {FINAL_EPISODES} episodes. Area: mean return of an episode. Of both the "
-        "mean over runs; in brackets its 95% interval (studentised bootstrap over seeds).",
+        f"mean over runs; in brackets its 95% interval ({_interval_kind(summary)}).",
         f"To {CLOSED}: median first episode whose return closes {CLOSED} of the gap between idle (a = 0) and oracle; "
         "never: runs without one. Corr.: corrections used, mean over runs. Oracle, idle: mean ± standard deviation.",
     ]
@@ -137,6 +143,8 @@ def reading(summary: Summary) -> list[str]:
             "Of a grid each algorithm shows its point with the highest mean final return; tied: points not "
             "significantly worse on the same seeds, that one included. All points are in summary.csv."
         )
+    if any(len(_all_leading(summary, oracle)) > MOST_LEADING for oracle in _oracles(summary)):
+        lines.append(f"A table has {MOST_LEADING} rows at most. All are in summary.csv.")
     clipped = [
         group.limits.clipped / group.limits.steps for group in summary.study.groups if group.limits.clipped
     ]
@@ -155,12 +163,20 @@ def reading(summary: Summary) -> list[str]:
     return lines
 
 
+def _interval_kind(summary: Summary) -> str:
+    counts = {min(group.runs, MANY_RUNS) for group in summary.study.groups if group.runs}
+    if counts == {MANY_RUNS}:
+        return "Student's t"
+    many = f"; Student's t from {MANY_RUNS:,} runs on" if MANY_RUNS in counts else ""
+    return f"studentised bootstrap over seeds{many}"
+
+
 def limits_sheets(summary: Summary) -> list[Sheet]:
     """Steps, clipped actions and full dictionaries of the same runs as `result_sheets`; a sheet for each oracle."""
     columns = ("error", "algo", *_symbols(summary.study), "runs", "steps", "clipped", "met full", "stopped")
     sheets = []
     for oracle in _oracles(summary):
-        groups = [row.group for row in summary.leading if row.group.oracle == oracle]
+        groups = [row.group for row in _leading(summary, oracle)]
         rows = tuple(
             (
                 *_head(group, summary.study.varying),
@@ -178,11 +194,17 @@ def limits_sheets(summary: Summary) -> list[Sheet]:
     return sheets
 
 
-def reading_differences() -> list[str]:
+def reading_differences(summary: Summary) -> list[str]:
     """How to read the differences."""
-    return [
+    lines = [
         "Differences: first minus second on the same seeds, mean and interval; * where that excludes zero."
     ]
+    if summary.unpaired:
+        lines.append(
+            f"Of {summary.unpaired + len(summary.differences):,} pairs of points these are the "
+            f"{len(summary.differences):,} with a best point."
+        )
+    return lines
 
 
 def _results(study: Study, oracle: str, shown: Sequence[Row], grid: bool) -> Sheet:
@@ -227,6 +249,15 @@ def _difference(difference: Difference, study: Study, decimals: int) -> tuple[st
 
 def _oracles(summary: Summary) -> tuple[str, ...]:
     return unique(group.oracle for group in summary.study.groups)
+
+
+def _all_leading(summary: Summary, oracle: str) -> list[Row]:
+    return [row for row in summary.leading if row.group.oracle == oracle]
+
+
+def _leading(summary: Summary, oracle: str) -> list[Row]:
+    """What a table shows, which stays readable."""
+    return _all_leading(summary, oracle)[:MOST_LEADING]
 
 
 def _head(group: Group, varying: Sequence[str]) -> tuple[str, ...]:

@@ -22,10 +22,10 @@ def render(summary: Summary) -> RenderableType:
     It prints on a stream of any encoding, in the signs that this has.
     """
     differences = tables.difference_sheets(summary) if len(summary.differences) <= tables.MOST_ROWS else []
-    notes = tables.reading(summary) + (tables.reading_differences() if differences else [])
+    notes = tables.reading(summary) + (tables.reading_differences(summary) if differences else [])
     if len(summary.differences) > tables.MOST_ROWS:
         notes.append(
-            f"{len(summary.differences)} paired differences between algorithms are in differences.csv."
+            f"{len(summary.differences):,} paired differences between algorithms are in differences.csv."
         )
     sheets = tables.result_sheets(summary) + tables.point_sheets(summary) + differences
     return laid_out(tables.warnings(summary), sheets, notes)

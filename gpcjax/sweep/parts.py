@@ -209,8 +209,9 @@ def _completed(table: pa.Table, folder: str, filled: Filled) -> pa.Table:
     for name, by_learner in filled.items():
         column = correction_column(name) if folder == CORRECTIONS else name
         if column not in table.column_names:
-            values = [by_learner.get(algo) for algo in table.column("algo").to_pylist()]
-            table = table.append_column(column, pa.array(values, pa.float64()))
+            algo = table.column("algo").combine_chunks().dictionary_encode()
+            values = pa.array(map(by_learner.get, algo.dictionary.to_pylist()), pa.float64())
+            table = table.append_column(column, values.take(algo.indices))
     return table
 
 

@@ -14,7 +14,8 @@ from gpcjax.errors import UserError
 from gpcjax.report import curves
 from gpcjax.report import run as run_module
 from gpcjax.report.run import draw, draw_frames
-from gpcjax.sweep import reading, runfolder
+from gpcjax.sweep import runfolder
+from gpcjax.sweep.reading import read_episodes
 from tests.report import synthetic
 
 PLAIN = {
@@ -139,7 +140,7 @@ class TestUnwritable:
             raise OSError(errno.EROFS, "Read-only file system", options["dir"])
 
         monkeypatch.setattr(runfolder.tempfile, "TemporaryFile", denied)
-        monkeypatch.setattr(reading, "read", None)  # said before anything is read or drawn
+        monkeypatch.setattr(run_module, "read_counted", None)  # said before anything is read or drawn
         message = f"{out}: nothing can be written there (Read-only file system), report on a copy of it"
         assert self.refusal(out) == message
 
@@ -234,6 +235,6 @@ def test_what_a_learner_measures_does_not_order_its_rows(out):
     frame["loss"] = -1.0 * frame.index  # falls: in its order the last seed would be the first
     corrections = synthetic.corrections(seeds=4, errors=(0.0,), algos=("coach",))
     synthetic.write(out, frame, corrections, synthetic.manifest(frame))
-    read = reading.read(out).episodes
+    read = read_episodes(out)
     assert read["seed"].tolist() == [0] * 3 + [1] * 3 + [2] * 3 + [3] * 3
     assert read["loss"].tolist() == frame["loss"].tolist()

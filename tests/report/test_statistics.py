@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
-from scipy.stats import bootstrap, ttest_1samp
+from scipy.stats import bootstrap as scipy_bootstrap
+from scipy.stats import ttest_1samp
 
-from gpcjax.report import statistics
+from gpcjax.report import bootstrap
 from gpcjax.report.statistics import (
     Scores,
     best_and_tied,
@@ -45,14 +46,14 @@ def test_percentiles_and_bca_would_be_too_narrow():
     random = np.random.default_rng(5)
     samples = random.exponential(size=(300, 20))
     for method in ("percentile", "BCa"):
-        found = bootstrap((samples,), np.mean, axis=1, n_resamples=999, method=method, rng=1, batch=100)
+        found = scipy_bootstrap((samples,), np.mean, axis=1, n_resamples=999, method=method, rng=1, batch=100)
         inside = (found.confidence_interval.low <= 1) & (found.confidence_interval.high >= 1)
         assert inside.mean() < 0.935 < covered("exponential", 20, 600)[0]
 
 
 def test_symmetric_runs_have_students_interval_or_a_little_more():
     values = np.linspace(-1, 1, 20)[:, None]
-    known = bootstrap((values[:, 0],), np.mean, method="BCa", rng=1).confidence_interval
+    known = scipy_bootstrap((values[:, 0],), np.mean, method="BCa", rng=1).confidence_interval
     interval = mean_interval(values)
     student = 2.093024 * values.std(ddof=1) / np.sqrt(20)
     assert student * (1 - 1e-6) <= interval.upper <= 1.08 * student
@@ -100,7 +101,7 @@ def test_a_score_that_is_not_finite_has_no_bounds():
 
 
 def test_each_task_is_resampled_for_itself_and_keeps_its_number_of_runs():
-    counts = statistics._counts(12, 3, 0, 500)
+    counts = bootstrap._counts(12, 3, 0, 500)
     assert (counts.sum(axis=1) == 12).all()
     assert not (counts[:, :, 0] == counts[:, :, 1]).all()
     assert mean_interval(np.tile([0.0, 100.0], (5, 1))) == (50, 50, 50)  # tasks differ, runs do not
@@ -109,9 +110,9 @@ def test_each_task_is_resampled_for_itself_and_keeps_its_number_of_runs():
 def test_same_scores_give_the_same_interval_in_blocks_too(monkeypatch):
     values = np.random.default_rng(2).normal(size=(20, 1))
     before = mean_interval(values)
-    statistics._counts.cache_clear()
+    bootstrap._counts.cache_clear()
     assert mean_interval(values) == before
-    monkeypatch.setattr(statistics, "_LARGEST_BLOCK", 20 * 700)
+    monkeypatch.setattr(bootstrap, "_LARGEST_BLOCK", 20 * 700)
     in_blocks = mean_interval(values)
     assert in_blocks.estimate == before.estimate
     assert in_blocks[1:] == pytest.approx(before[1:], abs=0.05)
@@ -161,7 +162,7 @@ def test_band_counts_present_values_only():
 def test_a_long_band_is_that_of_each_of_its_points(monkeypatch):
     curves = np.random.default_rng(9).normal(size=(6, 30))
     whole = mean_band(curves)
-    monkeypatch.setattr(statistics, "_MOST_POINTS", 7)
+    monkeypatch.setattr(bootstrap, "MOST_POINTS", 7)
     np.testing.assert_allclose(mean_band(curves), whole)
 
 

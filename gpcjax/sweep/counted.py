@@ -1,0 +1,288 @@
+"""The rows of a run folder as its report takes them: what is counted, in arrays, part by part. Loads no jax.
+
+A frame of all columns holds the settings of a cell in each of its rows, and a text of its own in each field. Here a
+cell is told once, and a row has 22 bytes.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Float, Int
+
+from gpcjax.errors import UserError
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, Say
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.parts import Found, whole_parts
+from gpcjax.sweep.rows import IDENTITY, correction_column
+
+OK = "ok"
+_TOTALS = ("length", "clipped", "full")
+_MEASURED = ("episode", "return", "corrections", *_TOTALS, "status")
+_OF_CORRECTIONS = ("episode", "step", "action_dim", "rate")
+
+
+class Coded(NamedTuple):
+    """A column of few values: `values[codes]`, and no value where the code is -1."""
+
+    codes: Int[np.ndarray, "cells"]
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Cells, and what is counted of their episodes.
+
+    | Field         | Shape           | What                                                                  |
+    |---------------|-----------------|-----------------------------------------------------------------------|
+    | `env`         |                 | the task                                                              |
+    | `settings`    | [cells] each    | algo, oracle, error and the settings that vary                        |
+    | `seeds`       | [cells]         | of the cells                                                          |
+    | `totals`      | [cells] each    | sums over the episodes of a cell: length, clipped, full               |
+    | `cell`        | [rows]          | the cell of each episode                                              |
+    | `episode`     | [rows]          | from 1                                                                |
+    | `returns`     | [rows]          | sums of rewards                                                       |
+    | `corrections` | [rows]          | that the learner took                                                 |
+    | `status`      | [rows]          | "ok", or why the run ended after this episode                         |
+    """
+
+    env: str
+    settings: Mapping[str, Coded]
+    seeds: Int[np.ndarray, "cells"]
+    totals: Mapping[str, Int[np.ndarray, "cells"]]
+    cell: Int[np.ndarray, "rows"]
+    episode: Int[np.ndarray, "rows"]
+    returns: Float[np.ndarray, "rows"]
+    corrections: Int[np.ndarray, "rows"]
+    status: Coded
+
+    @staticmethod
+    def of(frame: pd.DataFrame, varying: Iterable[str]) -> "Episodes":
+        """The same of a frame as `gpcjax.load` gives it, which has at least one row."""
+        part = _Part.of(
+            {name: _coded(frame, name) for name in ("algo", "oracle", "error", *varying)},
+            {name: frame[name].to_numpy() for name in ("seed", *_MEASURED[:-1])},
+            _coded(frame, "status"),
+        )
+        return _joined(str(frame["env"].iloc[0]), [part])[0]
+
+
+class Chosen(NamedTuple):
+    """Runs whose corrections are read: those of these seeds (ascending) with these settings."""
+
+    algo: str
+    oracle: str
+    error: float
+    settings: Mapping[str, float]
+    seeds: Int[np.ndarray, "runs"]
+
+
+def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
+    """The episodes of a run folder and its manifest; None if there are none. As `gpcjax.sweep.reading.read`.
+
+    Raises:
+        UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
+    """
+    manifest = read_manifest(out)
+    varying, found, values = tuple(manifest["varying"]), Found(), _Values()
+    env, parts = "", []
+    for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
+        table = part.tables[EPISODES]
+        if len(table):
+            env = env or str(table.column("env")[0])
+            parts.append(_of_table(table, varying, values))
+    if found.damaged and not parts:
+        path, what = next(iter(found.damaged.items()))
+        raise UserError(
+            f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
+        )
+    episodes, found.repeated = _joined(env, parts) if parts else (None, 0)
+    found.speak(out, say, "left out, the same sweep computes what is missing again")
+    return episodes, manifest
+
+
+def corrections_of(out: Path, manifest: Mapping[str, Any], chosen: Sequence[Chosen]) -> pd.DataFrame:
+    """The corrections of some runs, as `gpcjax.load_corrections` has them but for columns that no figure shows.
+
+    Rows come in the order of the parts. Nothing is said of what is damaged: whoever chose the runs has read the folder.
+    """
+    varying = [correction_column(name) for name in manifest["varying"]]
+    columns = [*IDENTITY, *varying, *_OF_CORRECTIONS]
+    frames, seen = [], [np.zeros(0, np.int64)] * len(chosen)
+    for part in whole_parts(out, manifest, Found(), {CORRECTIONS: columns}):
+        table = part.tables[CORRECTIONS]
+        place = _chosen_by(table, chosen)
+        rows = np.flatnonzero(place >= 0)
+        rows = rows[np.argsort(place[rows], kind="stable")]
+        seeds = table.column("seed").to_numpy()[rows]
+        present, starts = np.unique(place[rows], return_index=True)
+        stops = [*starts[1:], len(rows)]
+        for which, start, stop in zip(present, starts, stops, strict=False):
+            new = np.isin(seeds[start:stop], chosen[which].seeds) & ~np.isin(seeds[start:stop], seen[which])
+            frames.append(table.take(rows[start:stop][new]).to_pandas())
+            seen[which] = np.union1d(seen[which], seeds[start:stop][new])
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
+
+
+def joint(columns: Sequence[Int[np.ndarray, "rows"]]) -> Int[np.ndarray, "rows"]:
+    """One number for each combination of codes (from -1): equal where all of them are."""
+    number, count = np.zeros(len(columns[0]), np.int64), 1
+    for codes in columns:
+        span = int(codes.max(initial=-1)) + 2
+        if count * span >= 1 << 62:
+            known, number = np.unique(number, return_inverse=True)
+            count = len(known)
+        number, count = number * span + (codes.astype(np.int64) + 1), count * span
+    return number
+
+
+class _Values:
+    """The values of each column in all parts, numbered as they come."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, dict[Any, int]] = {}
+
+    def coded(self, name: str, column: pa.ChunkedArray) -> Coded:
+        """The column of a part, by the numbers that hold for all parts."""
+        encoded = column.combine_chunks().dictionary_encode()
+        numbers = self._numbers.setdefault(name, {})
+        known = [numbers.setdefault(value, len(numbers)) for value in encoded.dictionary.to_pylist()]
+        place = encoded.indices.fill_null(len(known)).to_numpy(zero_copy_only=False)
+        return Coded(np.array([*known, -1], np.int32)[place], tuple(numbers))
+
+
+class _Part(NamedTuple):
+    """What `Episodes` holds, of one part."""
+
+    settings: dict[str, Coded]
+    seeds: np.ndarray
+    totals: dict[str, np.ndarray]
+    cell: np.ndarray
+    episode: np.ndarray
+    returns: np.ndarray
+    corrections: np.ndarray
+    status: Coded
+
+    @staticmethod
+    def of(settings: Mapping[str, Coded], columns: Mapping[str, np.ndarray], status: Coded) -> "_Part":
+        """Of columns that have a value in each row."""
+        seeds = columns["seed"].astype(np.int64)
+        codes = [column.codes for column in settings.values()]
+        starts = np.ones(len(seeds), bool)
+        starts[1:] = np.any([each[1:] != each[:-1] for each in (seeds, *codes)], axis=0)
+        first = np.flatnonzero(starts)
+        known, once, which = np.unique(
+            joint([_dense(seeds[first]), *(each[first] for each in codes)]),
+            return_index=True,
+            return_inverse=True,
+        )
+        # The rows of a cell usually follow each other; wherever they are, cells keep the order of their first rows.
+        order = np.argsort(once)
+        rank = np.empty(len(known), np.int32)
+        rank[order] = np.arange(len(known))
+        cell, first = rank[which][np.cumsum(starts) - 1], first[once[order]]
+        return _Part(
+            {name: column._replace(codes=column.codes[first]) for name, column in settings.items()},
+            seeds[first],
+            {name: _sums(cell, columns[name], len(first)) for name in _TOTALS},
+            cell,
+            columns["episode"].astype(np.int32),
+            columns["return"].astype(np.float64),
+            columns["corrections"].astype(np.int32),
+            status._replace(codes=status.codes.astype(np.int16)),
+        )
+
+
+def _of_table(table: pa.Table, varying: Sequence[str], values: _Values) -> _Part:
+    return _Part.of(
+        {name: values.coded(name, table.column(name)) for name in ("algo", "oracle", "error", *varying)},
+        {name: table.column(name).to_numpy() for name in ("seed", *_MEASURED[:-1])},
+        values.coded("status", table.column("status")),
+    )
+
+
+def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
+    """All parts, whose codes mean the same, and how many cells were left out: those that an earlier part holds too.
+
+    The list is emptied on the way: of what it held nothing stays twice in memory.
+    """
+    *_, latest = parts
+    settings = {
+        name: Coded(np.concatenate([part.settings[name].codes for part in parts]), values)
+        for name, (_, values) in latest.settings.items()
+    }
+    seeds = np.concatenate([part.seeds for part in parts])
+    totals = {name: np.concatenate([part.totals[name] for part in parts]) for name in _TOTALS}
+    before = np.cumsum([0, *(len(part.seeds) for part in parts)])
+    cell = np.concatenate([part.cell + int(start) for part, start in zip(parts, before, strict=False)])
+    columns = {
+        "episode": np.concatenate([part.episode for part in parts]),
+        "returns": np.concatenate([part.returns for part in parts]),
+        "corrections": np.concatenate([part.corrections for part in parts]),
+    }
+    status = np.concatenate([part.status.codes for part in parts])
+    parts.clear()
+    _, once = np.unique(
+        joint([_dense(seeds), *(column.codes for column in settings.values())]), return_index=True
+    )
+    repeated = len(seeds) - len(once)
+    if repeated:
+        kept = np.zeros(len(seeds), bool)
+        kept[once] = True
+        rows = kept[cell]
+        cell = (np.cumsum(kept) - 1)[cell[rows]]
+        columns = {name: column[rows] for name, column in columns.items()}
+        status, seeds = status[rows], seeds[kept]
+        settings = {name: Coded(column.codes[kept], column.values) for name, column in settings.items()}
+        totals = {name: total[kept] for name, total in totals.items()}
+    made = Episodes(
+        env=env,
+        settings=settings,
+        seeds=seeds,
+        totals=totals,
+        cell=cell.astype(np.int32),
+        status=Coded(status, latest.status.values),
+        **columns,
+    )
+    return made, repeated
+
+
+def _coded(frame: pd.DataFrame, name: str) -> Coded:
+    codes, values = pd.factorize(frame[name])
+    return Coded(codes, tuple(values.tolist()))
+
+
+def _dense(seeds: np.ndarray) -> np.ndarray:
+    """Numbers from 0 on, which may be as large as a seed: a code of which few bits are left."""
+    least, most = (int(seeds.min()), int(seeds.max())) if len(seeds) else (0, 0)
+    return seeds - least if most - least < 1 << 40 else np.unique(seeds, return_inverse=True)[1]
+
+
+def _sums(cell: np.ndarray, values: np.ndarray, cells: int) -> np.ndarray:
+    """Exact below 2^53."""
+    return np.bincount(cell, weights=values, minlength=cells).astype(np.int64)
+
+
+def _chosen_by(table: pa.Table, chosen: Sequence[Chosen]) -> Int[np.ndarray, "rows"]:
+    """The place in `chosen` of what each row belongs to by its settings; -1 for none.
+
+    Of a learner with an oracle and an error there is one in `chosen`.
+    """
+    places = {(runs.algo, runs.oracle, runs.error): place for place, runs in enumerate(chosen)}
+    values = _Values()
+    coded = [values.coded(name, table.column(name)) for name in ("algo", "oracle", "error")]
+    _, once, which = np.unique(
+        joint([column.codes for column in coded]), return_index=True, return_inverse=True
+    )
+    keys = [tuple(column.values[column.codes[row]] for column in coded) for row in once]
+    place = np.array([*(places.get(key, -1) for key in keys), -1])[which]
+    for name in dict.fromkeys(name for runs in chosen for name in runs.settings):
+        column = correction_column(name)
+        if column in table.column_names:
+            wanted = np.array([*(runs.settings.get(name, np.nan) for runs in chosen), np.nan])[place]
+            place[~np.isnan(wanted) & (table.column(column).to_numpy() != wanted)] = -1
+    return place
