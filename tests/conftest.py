@@ -14,6 +14,8 @@ from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
 
+pytest_plugins = ["tests.tiers"]
+
 COMPUTING = (
     "gpcjax.elementary gpcjax.engine gpcjax.envs gpcjax.gp gpcjax.learners gpcjax.moment gpcjax.policies"
     " gpcjax.streams gpcjax.sweep.ppo gpcjax.teachers"

@@ -77,6 +77,7 @@ def test_other_targets(folder):
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
+    assert make(folder, "test-all", "ARGS=-x").returncode == 0
     assert make(folder, "teach", "ENV=pendulum", "CREDIT=0.2", "ARGS=--speed 0.5").returncode == 0
     assert make(folder, "bench-teach").returncode == 0
     assert called(folder) == [
@@ -84,6 +85,7 @@ def test_other_targets(folder):
         ["-m", "gpcjax", "oracles"],
         ["-m", "gpcjax", "oracles", "--env=pendulum"],
         ["-m", "pytest", "-n", "2", "-k", "two words"],
+        ["-m", "pytest", "-n", "2", "--all", "-x"],
         ["-m", "gpcjax", "teach", "--env=pendulum", "--credit=0.2", "--speed", "0.5"],
         ["-m", "benchmarks.teaching"],
     ]
