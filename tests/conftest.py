@@ -1,5 +1,6 @@
 """Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -85,6 +86,7 @@ COMPILED_PLAINLY = (
     "learners/test_gpc.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "sweep/test_ppo.py",
     "sweep/test_schedule.py",
     "sweep/test_sweeps.py",
     "teachers/",
@@ -153,13 +155,26 @@ def settings_of_jax(request):
         jax.config.update(setting, False)
 
 
+@contextlib.contextmanager
+def _compiled(plainly):
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", plainly)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
 @pytest.fixture
 def compiled_as_shipped():
     """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    with _compiled(plainly=False):
+        yield
+
+
+@pytest.fixture
+def compiled_plainly():
+    """XLA need not do its best for this test, whatever its module wants."""
+    with _compiled(plainly=True):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -85,6 +85,7 @@ def test_every_number_is_the_same(inputs, expected, setting, tmp_path):
     assert getattr(jax.config, setting) == SETTINGS[setting]
 
 
+@pytest.mark.slow
 def test_a_fit_without_float64():
     points = np.linspace(0, 3, 8)[:, None]
     call = lambda: fit(points, np.sin(points[:, 0]), 2.5, starts=[(1.0, 1.0, 0.01)])  # noqa: E731

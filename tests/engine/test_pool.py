@@ -158,6 +158,7 @@ class TestGPC(Bits):
     algo = "gpc"
 
 
+@pytest.mark.slow
 class TestGPCNS(Bits):
     algo = "gpc-ns"
 

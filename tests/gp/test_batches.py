@@ -76,8 +76,11 @@ def programs():
 @pytest.mark.parametrize(
     ("name", "axes"),
     [
-        *(("correct", 2), ("uncertainty", 1), ("scan", 1), ("hyperparameters", 2)),
-        *(("likelihood", 1), ("gradient", 2), ("hessian", 1)),
+        *(("correct", 2), ("hyperparameters", 2), ("gradient", 2)),
+        *(
+            pytest.param(name, 1, marks=pytest.mark.slow)
+            for name in ("uncertainty", "scan", "likelihood", "hessian")
+        ),
     ],
 )
 def test_no_kernel_is_given_a_batch(name, axes):
@@ -118,6 +121,7 @@ def test_lanes_have_the_bits_that_they_have_alone():
     assert_same_bits(flat, jax.tree.map(lambda *leaves: np.stack(leaves), *alone))
 
 
+@pytest.mark.slow
 def test_derivatives_of_either_mode():
     rng = np.random.default_rng(0)
     matrix, vector = jnp.asarray(np.cov(rng.normal(size=(4, 50)))), jnp.asarray(rng.normal(size=4))
@@ -169,6 +173,7 @@ threads = [threading.Thread(target=often) for _ in range(4)]
 """
 
 
+@pytest.mark.slow
 def test_a_process_with_default_settings_comes_to_an_end():
     """A pool of threads for each core, several factorisations at a time, from several threads of Python."""
     ours = ("JAX_", "XLA_", "NPROC", "OMP_", "OPENBLAS_", "MKL_")

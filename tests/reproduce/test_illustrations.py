@@ -58,7 +58,7 @@ class TestHyperparameters:
     def test_the_true_noise_is_found(self, fig2_2):
         assert 0.05 < np.sqrt(fig2_2.noise[1]) < 0.3  # 0.15
 
-    @pytest.mark.parametrize("which", [0, 1])
+    @pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
     def test_curves_and_likelihoods_are_scikit_learns(self, fig2_2, which):
         variance, scale, noise = fig2_2.variance[which], fig2_2.length_scale[which], fig2_2.noise[which]
         kernel = ConstantKernel(variance) * RBF(scale) + WhiteKernel(noise)
@@ -206,12 +206,12 @@ class TestErroneous:
 class TestRepetitions:
     SEEDS = np.arange(4)
 
-    @pytest.mark.parametrize("sparsify", [False, True])
+    @pytest.mark.parametrize("sparsify", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_the_action_follows_what_the_figure_says(self, sparsify):
         found = repetitions._behind(sparsify, self.SEEDS)
         assert found.shape == (4,) and (found < 1e-4).all()
 
-    @pytest.mark.parametrize("algo", ["gpc", "coach"])
+    @pytest.mark.parametrize("algo", ["gpc", pytest.param("coach", marks=pytest.mark.slow)])
     def test_both_kinds_of_advice_meet_the_same_first_rate(self, algo):
         """They have the same past, and part after the first advice."""
         same, alternating = repetitions._consistent(algo, self.SEEDS)
