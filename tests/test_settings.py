@@ -133,7 +133,7 @@ def test_a_state_that_was_cast_is_refused(algo):
             call()
 
 
-@pytest.mark.parametrize("word", ["0", "false"])
+@pytest.mark.parametrize("word", ["0", pytest.param("false", marks=pytest.mark.slow)])
 def test_switching_float64_on_over_the_environment_is_said(word):
     code = "import gpcjax; gpcjax.make_learner; import jax; print(jax.numpy.zeros(1).dtype)"
     done = subprocess.run(

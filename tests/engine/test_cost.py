@@ -59,12 +59,20 @@ def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compile
     assert len(TRACED) == traced
 
 
-@pytest.fixture(scope="module", params=["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("gpc", TIERS[1:]),
+        *(pytest.param((algo, TIERS), marks=pytest.mark.slow) for algo in ("gpc", "gpc-ns")),
+    ],
+    ids=lambda given: f"{given[0]}-{len(given[1])}",
+)
 def used(request):
     """A pool that has run through its tiers."""
-    pool, starts = pool_of(make_learner(request.param, "cartpole", capacity=16), 24, episodes=4)
+    algo, tiers = request.param
+    pool, starts = pool_of(make_learner(algo, "cartpole", capacity=16), 24, episodes=4, tiers=tiers)
     lanes = finish(pool, starts)
-    assert {lane.state.human.points.shape[1] for lane in lanes} == {16, 64}
+    assert {lane.state.human.points.shape[1] for lane in lanes} == {tier.human_capacity for tier in tiers}
     return pool
 
 

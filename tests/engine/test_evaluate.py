@@ -144,6 +144,7 @@ def test_one_program_for_functions_that_do_the_same(monkeypatch):
     assert len(programs._programs) == 3
 
 
+@pytest.mark.slow
 def test_large_constants_are_told_apart():
     """Of functions that a person has compiled: their arrays are part of the program."""
     env, weights = CartPole(max_steps=40), np.random.default_rng(0).normal(size=(300, 4))
@@ -154,6 +155,7 @@ def test_large_constants_are_told_apart():
     assert (np.asarray(one) != np.asarray(other)).any()
 
 
+@pytest.mark.slow
 def test_inside_jit():
     """As part of a larger program, also for several values at once."""
     env = CartPole(max_steps=40)

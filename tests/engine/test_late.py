@@ -265,7 +265,8 @@ class Restless(Learner):
         return {**state, "kept": jnp.concatenate([state["kept"], jnp.zeros(missing)])}
 
 
-@pytest.mark.parametrize("where", [pytest.param("compiled", marks=pytest.mark.slow), "host"])
+@pytest.mark.slow
+@pytest.mark.parametrize("where", RECORDED)
 def test_a_teacher_and_a_learner_of_ones_own(where):
     """A memory that takes each step once, idling at each fourth step after the advice of that step: plainly.
 

@@ -163,6 +163,7 @@ class TestGPCNS(Bits):
     algo = "gpc-ns"
 
 
+@pytest.mark.slow
 class TestCOACH(Bits):
     algo = "coach"
 

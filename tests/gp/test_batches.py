@@ -95,6 +95,7 @@ def test_no_kernel_is_given_a_batch(name, axes):
         assert any(each.primitive.name == "cond" and len(each.params["branches"]) == 4 for each in found)
 
 
+@pytest.mark.slow
 def test_lanes_have_the_bits_that_they_have_alone():
     """With dictionaries of different lengths, so that they are factorised at different sizes."""
     learner, rng = make_learner("gpc-ns", "cartpole", capacity=32), np.random.default_rng(0)

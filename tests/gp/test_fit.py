@@ -53,7 +53,7 @@ def test_the_likelihood_and_its_slope_are_those_of_scikit_learn(smoothness, d):
 
 
 @pytest.mark.parametrize(
-    "smoothness", [nu if nu == 2.5 else pytest.param(nu, marks=pytest.mark.slow) for nu in SMOOTHNESSES]
+    "smoothness", [nu if nu == 1.5 else pytest.param(nu, marks=pytest.mark.slow) for nu in SMOOTHNESSES]
 )
 def test_the_optimum_is_scikit_learns(smoothness):
     points, targets = data()

@@ -172,7 +172,7 @@ def test_rounding_cannot_take_the_variance_below_the_noise(normalise):
     np.testing.assert_allclose(mean, 0.5, rtol=1e-6)
 
 
-@each_scaling
+@fixed_first
 def test_growing_keeps_what_was_learned(normalise):
     process = make(normalise)
     posterior, probes = filled(process, 11), np.random.default_rng(2).normal(size=(5, 3))
@@ -302,7 +302,8 @@ def test_one_of_many_places_touches_no_other(normalise, where):
         assert_same_bits(append(lean, posteriors, point, 0.5, given=False, where=place)[1], posteriors)
 
 
-@fixed_first
+@each_scaling
+@pytest.mark.slow
 def test_a_batch_is_its_members(normalise):
     process = make(normalise)
     lanes = [filled(process, count, seed=count) for count in (0, 3, 8, 15)]

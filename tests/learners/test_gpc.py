@@ -336,6 +336,7 @@ class TestSparsification:
         _, info = learner.correct(learner.init(), [0.0], [0.0], [1])
         assert info.appended and not info.replaced
 
+    @pytest.mark.slow
     def test_switched_off(self):
         learner = self.learner(sparsify=False)
         state = learner.init()
@@ -357,6 +358,7 @@ class TestRate:
         _, again = learner.correct(state, np.zeros(4), [0.0], [1])
         assert again.rate < 0.1 * info.rate
 
+    @pytest.mark.slow
     def test_the_target_is_not_clipped_and_starts_from_the_executed_action(self):
         learner = make_learner("gpc", "cartpole", capacity=16, static_rate=0.04)
         state, info = learner.correct(learner.init(), np.zeros(4), [0.99], [1])

@@ -203,15 +203,16 @@ class TestErroneous:
         assert gpc_ns[1] > gpc_ns[0] and gpc[1] < gpc[0]
 
 
+@pytest.mark.slow
 class TestRepetitions:
     SEEDS = np.arange(4)
 
-    @pytest.mark.parametrize("sparsify", [pytest.param(False, marks=pytest.mark.slow), True])
+    @pytest.mark.parametrize("sparsify", [False, True])
     def test_the_action_follows_what_the_figure_says(self, sparsify):
         found = repetitions._behind(sparsify, self.SEEDS)
         assert found.shape == (4,) and (found < 1e-4).all()
 
-    @pytest.mark.parametrize("algo", ["gpc", pytest.param("coach", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("algo", ["gpc", "coach"])
     def test_both_kinds_of_advice_meet_the_same_first_rate(self, algo):
         """They have the same past, and part after the first advice."""
         same, alternating = repetitions._consistent(algo, self.SEEDS)

@@ -225,6 +225,7 @@ def test_lines_upon_each_other_differ_in_their_dashes():
         assert len({line.get_linestyle() for line in curves}) == 2
 
 
+@pytest.mark.slow
 def test_drawing_loads_no_jax():
     code = "import sys, gpcjax.reproduce.sketches; assert not {'jax', 'matplotlib.pyplot'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -188,6 +188,7 @@ def test_every_learner_of_a_seed_begins_alike(reference):
             assert first.loc["gpc", error].equals(first.loc[algo, error])
 
 
+@pytest.mark.slow
 def test_against_a_plain_loop(reference):
     """The first episode of a cell of each learner, step by step with itself: its return and its corrections."""
     frame, corrections = read_episodes(reference), read_corrections(reference)
@@ -278,6 +279,7 @@ def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
     sweep(out, jobs=1, **settings)
 
 
+@pytest.mark.slow
 def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
     settings = SETTINGS | {"algo": "gpc", "error": 0.0, "seeds": 1, "max_capacity": 3, "on_full": "error"}
     out = sweep(tmp_path / "out", executor=InProcess(), **settings)
