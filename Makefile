@@ -20,7 +20,8 @@
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
 #:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
-#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, bench, lock; for compare the folders
+#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, test-all, bench, lock; for
+#:             compare the folders
 #:   PYTHON    what .venv is made with (python3)
 #:
 
@@ -49,6 +50,7 @@ TAKES_teach := ENV ALGO ORACLE LP LH CREDIT OUT ARGS
 TAKES_bench := ARGS
 TAKES_bench-teach := ARGS
 TAKES_test := ARGS
+TAKES_test-all := ARGS
 TAKES_torture := ARGS
 TAKES_lock := ARGS
 GOALS := $(or $(MAKECMDGOALS),help)
@@ -81,7 +83,8 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid report compare reproduce publish oracles teach bench bench-teach test torture lint format lock clean
+.PHONY: help sweep grid report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
+.PHONY: lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -125,8 +128,11 @@ $(BROWSER): | $(READY)
 		echo 'no Chromium here (Debian: apt install chromium): the tests in a browser do not run' >&2
 	@touch $@
 
-test: $(READY) $(BROWSER) ## run every test
+test: $(READY) $(BROWSER) ## run one good test of each thing (ARGS=-k NAME)
 	$(call with_args,.venv/bin/python -m pytest -n 2)
+
+test-all: $(READY) $(BROWSER) ## run every test: further learners, tasks, sizes, whole pages
+	$(call with_args,.venv/bin/python -m pytest -n 2 --all)
 
 torture: $(READY) ## spoil hundreds of run folders, kill hundreds of sweeps, and see that nothing is lost
 	$(call with_args,.venv/bin/python -m tests.torture)

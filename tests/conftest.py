@@ -1,5 +1,6 @@
 """Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -13,6 +14,8 @@ import threadpoolctl
 from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
+
+pytest_plugins = ["tests.tiers"]
 
 COMPUTING = (
     "gpcjax.elementary gpcjax.engine gpcjax.envs gpcjax.gp gpcjax.learners gpcjax.moment gpcjax.policies"
@@ -71,7 +74,10 @@ COMPILED_PLAINLY = (
     "engine/test_session.py",
     "envs/test_brax",
     "envs/test_cartpole.py",
+    "envs/test_env_registry.py",
     "envs/test_experts.py",
+    "envs/test_lanes.py",
+    "envs/test_mountaincar.py",
     "envs/test_pendulum.py",
     "envs/test_predictive.py",
     "gp/test_factor.py",
@@ -81,12 +87,16 @@ COMPILED_PLAINLY = (
     "learners/test_coach.py",
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
+    "learners/test_parity.py",
+    "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "sweep/test_ppo.py",
     "sweep/test_schedule.py",
     "sweep/test_sweeps.py",
     "teachers/",
     "test_extending.py",
+    "test_pickle.py",
     "test_public.py",
     "test_readme.py",
     "test_settings.py",
@@ -99,6 +109,8 @@ LONGEST = (
     "teach/test_browser.py",
     "test_extending.py",
     "sweep/test_sweeps.py",
+    "test_readme.py",
+    "golden/test_golden.py",
     "engine/test_rollout.py",
     "engine/test_late.py",
     "learners/test_gpc.py",
@@ -108,6 +120,9 @@ LONGEST = (
     "engine/test_pool.py",
     "engine/test_host_pool.py",
     "reproduce/test_real.py",
+    "test_foreign.py",
+    "sweep/test_inprocess.py",
+    "report/test_run.py",
     "gp/test_regression.py",
     "reproduce/test_illustrations.py",
     "engine/test_session.py",
@@ -151,13 +166,26 @@ def settings_of_jax(request):
         jax.config.update(setting, False)
 
 
+@contextlib.contextmanager
+def _compiled(plainly):
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", plainly)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
 @pytest.fixture
 def compiled_as_shipped():
     """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    with _compiled(plainly=False):
+        yield
+
+
+@pytest.fixture
+def compiled_plainly():
+    """XLA need not do its best for this test, whatever its module wants."""
+    with _compiled(plainly=True):
+        yield
 
 
 @pytest.fixture(scope="module")

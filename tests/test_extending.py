@@ -3,6 +3,7 @@
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,28 @@ def run(folder, *words):
     return done.stdout
 
 
+def test_words_are_understood_and_the_last_are_run(folder):
+    """Each command with the files that it names; the last as a reader would, in a process of its own."""
+    session = gpcjax.Session(
+        gpcjax.make_learner(
+            "coach", **{"obs_size": 2, "action_size": 1, "lower": -1.0, "upper": 1.0, "counts": (2, 2)}
+        ),
+        record=folder / "robot.jsonl",
+    )
+    session.propose([0.1, 0.0])
+    session.advise(1)
+    for command in COMMANDS:
+        program, *words = shlex.split(command)
+        assert program == "gpcjax" and cli.main([*words, "--jobs=1", "--dry-run"]) == 0
+    (folder / "robot.jsonl").unlink()
+    words = shlex.split(COMMANDS[-1])[1:]
+    run(folder, "-m", "gpcjax", *words, "--jobs=1")
+    out = folder / words[words.index("--out") + 1]
+    assert (read_episodes(out)["status"] == "ok").all() and (out / "report.html").exists()
+    shutil.rmtree(out)
+
+
+@pytest.mark.slow
 def test_the_page(folder):
     """Every file and every command; a session first, whose record a command replays.
 

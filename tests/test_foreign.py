@@ -29,6 +29,11 @@ SETTINGS = {
 }
 
 
+BOTH = SETTINGS | {"algo": ["gpc", "drifting:Linear"], "step_size": [0.2, 0.5]}
+BOTH |= {"max_capacity": 48, "on_full": "replace-nearest"}
+"""With dictionaries that do not grow: a program of GPC is enough."""
+
+
 @pytest.fixture(scope="module", autouse=True)
 def installed():
     """Its folder is where Python looks, with what an installation leaves there."""
@@ -45,7 +50,7 @@ def installed():
 def both(tmp_path_factory, workers_in_process):
     """A built-in learner and the stranger's, which has a grid of its own."""
     folder = tmp_path_factory.mktemp("both") / "out"
-    return sweep(folder, algo=["gpc", "drifting:Linear"], step_size=[0.2, 0.5], **SETTINGS)
+    return sweep(folder, **BOTH)
 
 
 def test_it_is_swept_among_built_in_ones(both):
@@ -67,9 +72,10 @@ def test_by_an_entry_point_alone_it_has_the_same_bits(both, tmp_path):
         pd.testing.assert_series_equal(alone[name], rows[name], check_exact=True)
 
 
+@pytest.mark.slow
 def test_after_kill_9_too(both, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(FOREIGN))
-    kill_and_resume({**SETTINGS, "algo": ["gpc", "drifting:Linear"], "step_size": [0.2, 0.5]}, both, tmp_path)
+    kill_and_resume(BOTH, both, tmp_path)
 
 
 def test_names():

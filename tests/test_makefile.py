@@ -78,6 +78,7 @@ def test_other_targets(folder):
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
+    assert make(folder, "test-all", "ARGS=-x").returncode == 0
     assert make(folder, "teach", "ENV=pendulum", "CREDIT=0.2", "ARGS=--speed 0.5").returncode == 0
     assert make(folder, "bench-teach").returncode == 0
     assert called(folder) == [
@@ -86,6 +87,7 @@ def test_other_targets(folder):
         ["-m", "gpcjax", "oracles"],
         ["-m", "gpcjax", "oracles", "--env=pendulum"],
         ["-m", "pytest", "-n", "2", "-k", "two words"],
+        ["-m", "pytest", "-n", "2", "--all", "-x"],
         ["-m", "gpcjax", "teach", "--env=pendulum", "--credit=0.2", "--speed", "0.5"],
         ["-m", "benchmarks.teaching"],
     ]
@@ -149,7 +151,14 @@ def test_a_value_is_one_word_whatever_it_holds(folder, value):
     assert not (folder / "bad").exists()
 
 
-@pytest.mark.parametrize("value", PROGRAMS)
+TELLING = "$(shell touch bad)", "`touch bad`", "a; touch bad", "' touch bad '"
+"""One for make, one for the shell, one for each way out of a word."""
+
+
+@pytest.mark.parametrize(
+    "value",
+    [value if value in TELLING else pytest.param(value, marks=pytest.mark.slow) for value in PROGRAMS],
+)
 def test_no_variable_of_any_target_is_a_program(folder, value):
     """Also with `make -e`, where those of the environment count, and where .venv is still to be made."""
     every = [f"{name}={value}" for name in VARIABLES if name != "ARGS"]
@@ -234,11 +243,8 @@ def test_the_environment_is_not_asked(folder):
 def test_help_lists_every_target_and_variable(folder):
     listed = make(folder)
     assert listed.stdout == make(folder, "help").stdout
-    targets = (
-        "help sweep grid report compare reproduce oracles teach bench bench-teach test torture lint format lock"
-        " clean"
-    )
-    for target in targets.split():
+    targets = "help sweep grid report compare reproduce oracles teach bench bench-teach test test-all torture"
+    for target in [*targets.split(), "lint", "format", "lock", "clean"]:
         assert re.search(rf"^make {target}  +\S", listed.stdout, re.MULTILINE)
     for name in [*VARIABLES, "QUICK", "ONLY", "PYTHON"]:
         assert re.search(rf"^  (\w+, )?{name}\b", listed.stdout, re.MULTILINE)

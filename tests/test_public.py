@@ -7,6 +7,7 @@ import pytest
 import gpcjax
 
 
+@pytest.mark.slow
 def test_teaching_by_hand(tmp_path):
     """A loop of one's own with a shipped task, an oracle, and the policy kept for later."""
     env = gpcjax.make_env("cartpole", max_steps=80)
@@ -67,6 +68,7 @@ def test_a_task_of_ones_own():
     assert np.mean(errors) < 0.2
 
 
+@pytest.mark.slow
 def test_a_sweep_and_its_report(tmp_path):
     out = gpcjax.run_sweep(
         tmp_path / "out", env="cartpole", algo="coach", seeds=2, episodes=3, oracle="lqr", rate=0.3

@@ -15,7 +15,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
 
 
-def test_python_runs_in_order(tmp_path, monkeypatch):
+def test_python_runs_in_order(tmp_path, monkeypatch, workers_in_process):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     python = "\n".join(blocks("python"))

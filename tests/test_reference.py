@@ -89,8 +89,10 @@ def sequence(domain: Domain, length: int, seed: int) -> list[tuple[np.ndarray, n
     return steps
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("name", DOMAINS)
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", [name if name == "pendulum" else pytest.param(name, marks=pytest.mark.slow) for name in DOMAINS]
+)
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
 def test_agrees_with_scikit_learn(algo: str, name: str, seed: int) -> None:
     domain = DOMAINS[name]
@@ -213,8 +215,8 @@ def test_coach_leaves_the_dimension_without_advice_alone() -> None:
     assert info.rate[1] == pytest.approx(20 * 1 * phi @ phi)
 
 
-@pytest.mark.parametrize("name", ["cartpole", "pendulum"])
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+@pytest.mark.parametrize("name", [pytest.param("cartpole", marks=pytest.mark.slow), "pendulum"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow), "coach"])
 def test_peers_agree_with_the_reference(algo: str, name: str) -> None:
     """What the benchmark times is the same computation."""
     dense: Any = make_reference(algo, name)

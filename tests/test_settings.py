@@ -85,6 +85,7 @@ def test_every_number_is_the_same(inputs, expected, setting, tmp_path):
     assert getattr(jax.config, setting) == SETTINGS[setting]
 
 
+@pytest.mark.slow
 def test_a_fit_without_float64():
     points = np.linspace(0, 3, 8)[:, None]
     call = lambda: fit(points, np.sin(points[:, 0]), 2.5, starts=[(1.0, 1.0, 0.01)])  # noqa: E731
@@ -132,7 +133,7 @@ def test_a_state_that_was_cast_is_refused(algo):
             call()
 
 
-@pytest.mark.parametrize("word", ["0", "false"])
+@pytest.mark.parametrize("word", ["0", pytest.param("false", marks=pytest.mark.slow)])
 def test_switching_float64_on_over_the_environment_is_said(word):
     code = "import gpcjax; gpcjax.make_learner; import jax; print(jax.numpy.zeros(1).dtype)"
     done = subprocess.run(

@@ -6,7 +6,11 @@ from tests import torture
 
 
 @pytest.mark.parametrize(
-    ("sealed", "cases"), [(True, len(torture.FAULTS) + 10), (False, len(torture.FAULTS))]
+    ("sealed", "cases"),
+    [
+        (True, len(torture.FAULTS)),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((True, 42), (False, len(torture.FAULTS)))),
+    ],
 )
 def test_every_fault_is_found(sealed, cases):
     judged = list(torture.torture(cases, seed=1, sealed=sealed))

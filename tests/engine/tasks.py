@@ -24,7 +24,7 @@ from gpcjax.teachers.oracle import Oracle
 EPISODES = 4
 ALGORITHMS = ("gpc", "gpc-ns", "coach")
 TIERS = {
-    "gpc": (Tier(4, 4, 8), Tier(8, 16, 8), Tier(64, 64, 8)),
+    "gpc": (Tier(4, 8, 8), Tier(64, 64, 8)),
     "gpc-ns": (Tier(4, 4, 8), Tier(64, 64, 16)),
     "coach": (Tier(1, 1, 8),),
 }

@@ -27,13 +27,13 @@ class Counting(GPC):
         return super()._correct(states, where, obs, action, advice)
 
 
-def pool_of(learner, starts, episodes=2):
+def pool_of(learner, starts, episodes=2, tiers=TIERS):
     """A pool on cart-pole, and as many starts of `learner`, with seeds from 0."""
     oracle = jax.tree.map(np.asarray, make_oracle("cartpole", "lqr").oracle)
     numbers = jax.tree.map(np.asarray, learner)
     begun = [Start(name=seed, learner=numbers, teacher=oracle, seed=seed) for seed in range(starts)]
     env, expert = make_env("cartpole"), make_expert("cartpole", "lqr")
-    return Pool(env=env, expert=expert, episodes=episodes, template=begun[0], tiers=TIERS), begun
+    return Pool(env=env, expert=expert, episodes=episodes, template=begun[0], tiers=tiers), begun
 
 
 def finish(pool, starts):
@@ -42,11 +42,11 @@ def finish(pool, starts):
     return [each.lane for each in finished]
 
 
-def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else():
+def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compiled_plainly):
     """Not for each lane, round or step; and nothing is traced once more for more runs."""
     gpc = make_learner("gpc", "cartpole", capacity=16)
     learner = Counting(**{field.name: getattr(gpc, field.name) for field in dataclasses.fields(gpc)})
-    pool, starts = pool_of(learner, 24)
+    pool, starts = pool_of(learner, 24, tiers=TIERS[1:])
     TRACED.clear(), EXECUTED.clear()
     lanes = finish(pool, starts)
     jax.effects_barrier()
@@ -54,17 +54,25 @@ def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else():
     assert len(EXECUTED) == corrections > 100
     assert sum(int(lane.rows.length.sum()) for lane in lanes) > 3 * corrections
     traced = len(TRACED)
-    assert 0 < traced <= 4 * len(TIERS)
+    assert 0 < traced <= 4
     finish(pool, starts[::-1])
     assert len(TRACED) == traced
 
 
-@pytest.fixture(scope="module", params=["gpc", "gpc-ns"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("gpc", TIERS[1:]),
+        *(pytest.param((algo, TIERS), marks=pytest.mark.slow) for algo in ("gpc", "gpc-ns")),
+    ],
+    ids=lambda given: f"{given[0]}-{len(given[1])}",
+)
 def used(request):
     """A pool that has run through its tiers."""
-    pool, starts = pool_of(make_learner(request.param, "cartpole", capacity=16), 24, episodes=4)
+    algo, tiers = request.param
+    pool, starts = pool_of(make_learner(algo, "cartpole", capacity=16), 24, episodes=4, tiers=tiers)
     lanes = finish(pool, starts)
-    assert {lane.state.human.points.shape[1] for lane in lanes} == {16, 64}
+    assert {lane.state.human.points.shape[1] for lane in lanes} == {tier.human_capacity for tier in tiers}
     return pool
 
 

@@ -19,7 +19,9 @@ RECORDED = host_drift(force=0.0)
 NARROW = Tier(1, 1, 8)
 
 
-@pytest.mark.parametrize("algo", ALGORITHMS)
+@pytest.mark.parametrize(
+    "algo", [algo if algo == "gpc-ns" else pytest.param(algo, marks=pytest.mark.slow) for algo in ALGORITHMS]
+)
 def test_against_a_plain_loop(algo):
     """With usual, wrong, quiet and busy teachers, GPC through two tiers; and the counters tell what was done."""
     tiers = TIERS[algo][-2:] if algo == "gpc" else TIERS[algo][-1:]

@@ -1,5 +1,7 @@
 """Runs of a task on the host: their bits depend on nothing but themselves either."""
 
+import pytest
+
 from tests.engine.host_tasks import host_drift
 from tests.engine.test_pool import Bits
 
@@ -8,10 +10,12 @@ class OnHost(Bits):
     env = host_drift()
 
 
+@pytest.mark.slow
 class TestGPC(OnHost):
     algo = "gpc"
 
 
+@pytest.mark.slow
 class TestGPCNS(OnHost):
     algo = "gpc-ns"
 

@@ -159,10 +159,12 @@ class TestGPC(Bits):
     algo = "gpc"
 
 
+@pytest.mark.slow
 class TestGPCNS(Bits):
     algo = "gpc-ns"
 
 
+@pytest.mark.slow
 class TestCOACH(Bits):
     algo = "coach"
 

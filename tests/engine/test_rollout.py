@@ -49,7 +49,11 @@ def actions(lane, state, obs):
 
 @pytest.mark.parametrize(
     ("algo", "tier"),
-    [("gpc", Tier(64, 192, 8)), ("gpc-ns", Tier(64, 192, 8)), ("coach", Tier(1, 1, 8))],
+    [
+        pytest.param("gpc", Tier(64, 192, 8), marks=pytest.mark.slow),
+        pytest.param("gpc-ns", Tier(64, 192, 8), marks=pytest.mark.slow),
+        ("coach", Tier(1, 1, 8)),
+    ],
 )
 def test_against_a_plain_loop(algo, tier):
     """With usual, wrong, quiet and busy teachers."""
@@ -84,6 +88,7 @@ class TestFull:
         agrees(lane, plain(RECORDED, each, self.TIER))
         return lane
 
+    @pytest.mark.slow
     def test_error_ends_the_run(self):
         lane = self.lane("error")
         assert lane.status == Status.FULL
@@ -97,6 +102,7 @@ class TestFull:
         assert not lane.log.outcome[: lane.log.count][refused][:, :2].any()
 
     @pytest.mark.parametrize("on_full", ["replace-nearest", "drop"])
+    @pytest.mark.slow
     def test_the_others_go_on(self, on_full):
         lane = self.lane(on_full)
         assert lane.status == Status.OK and (lane.rows.length > 0).all()
@@ -127,6 +133,7 @@ def counted(lane):
     return {name: rows for name, rows in vars(lane.rows).items() if name not in ("asked", "chance_sum")}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("compiled_as_shipped")
 def test_active_learning():
     """Thinning changes nothing, to the bit; and a plain loop, which knows nothing of it, agrees."""

@@ -11,7 +11,11 @@ from tests.engine.test_rollout import agrees
 NARROW = Tier(1, 1, 8)
 
 
-@pytest.mark.parametrize("env", [Drift(force=0.0), host_drift(force=0.0)], ids=["compiled", "host"])
+@pytest.mark.parametrize(
+    "env",
+    [Drift(force=0.0), pytest.param(host_drift(force=0.0), marks=pytest.mark.slow)],
+    ids=["compiled", "host"],
+)
 def test_a_schedule_gives_each_episode_its_own_chance(env):
     """The last one for all that follow; and each lane has its own."""
     schedules, episodes = [(0.0, 0.9, 0.3), (0.6, 0.0, 1.0)], 5

@@ -112,6 +112,7 @@ class TestPlainly:
             session.end_episode()
         assert session.corrections == 8 and session.episode == 1
 
+    @pytest.mark.slow
     def test_dictionaries_grow(self, gpc):
         small, large = Session(dataclasses.replace(gpc, policy_capacity=4, human_capacity=4)), Session(gpc)
         places = [[-0.9, -0.9], [0.9, -0.9], [-0.9, 0.9], [0.9, 0.9], [0.0, 0.0]]

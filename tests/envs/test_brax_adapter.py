@@ -51,6 +51,7 @@ def test_traced_once(fast: BraxEnv) -> None:
     assert fast.env.step_count == before + 1
 
 
+@pytest.mark.slow
 def test_inverted_pendulum() -> None:
     env = brax_env("inverted_pendulum", max_steps=50)
     assert (env.name, env.obs_size, env.action_size) == ("inverted_pendulum", 4, 1)

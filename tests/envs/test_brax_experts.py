@@ -85,6 +85,7 @@ def test_only_what_brax_lacks_is_unsaid(capsys):
     assert capsys.readouterr().out == "something else\n"
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_a_task_of_brax_is_made():
     code = "from gpcjax.envs.registry import make_env; make_env('brax:inverted_pendulum')"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

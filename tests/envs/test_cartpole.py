@@ -55,7 +55,7 @@ def test_one_step_from_anywhere(reference: Reference, plant: Plant) -> None:
     np.testing.assert_array_equal(after.obs, after.physics)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4)), 1])
 def test_whole_episode(seed: int, reference: Reference, plant: Plant) -> None:
     """Each follows the same noisy law from its own state: open-loop, the pole would amplify rounding without end."""
     rng = np.random.default_rng(seed)

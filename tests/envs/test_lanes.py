@@ -15,7 +15,9 @@ from gpcjax.envs.pendulum import Pendulum
 
 Starts = Callable[[int], jax.Array]
 TASKS = pytest.mark.parametrize(
-    ("make_env", "make_expert"), [(CartPole, LQR), (Pendulum, EnergySwingUp)], ids=["cartpole", "pendulum"]
+    ("make_env", "make_expert"),
+    [(CartPole, LQR), pytest.param(Pendulum, EnergySwingUp, marks=pytest.mark.slow)],
+    ids=["cartpole", "pendulum"],
 )
 
 
@@ -38,7 +40,7 @@ def test_seeds_differ_and_repeat(make_env: type, make_expert: type, starts: Star
 
 
 @TASKS
-@pytest.mark.parametrize("axis", [0, -1])
+@pytest.mark.parametrize("axis", [pytest.param(0, marks=pytest.mark.slow), -1])
 def test_batched_equals_single(make_env: type, make_expert: type, axis: int, starts: Starts) -> None:
     env, expert, n = make_env(), make_expert(), 5
     begun = jax.vmap(env.reset, out_axes=axis)(starts(n))

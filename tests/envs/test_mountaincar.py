@@ -66,7 +66,10 @@ def test_one_step_from_anywhere(reference: gymnasium.Env, step_all: StepAll) -> 
     np.testing.assert_array_equal(after.obs, after.physics)
 
 
-@pytest.mark.parametrize(("policy", "arrives"), [("expert", True), ("noisy expert", True), ("random", False)])
+@pytest.mark.parametrize(
+    ("policy", "arrives"),
+    [pytest.param("expert", True, marks=pytest.mark.slow), ("noisy expert", True), ("random", False)],
+)
 def test_whole_episode(
     policy: str, arrives: bool, reference: gymnasium.Env, plant: Plant, step_all: StepAll
 ) -> None:

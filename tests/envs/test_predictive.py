@@ -23,6 +23,7 @@ def test_it_balances_from_every_start(expert_returns: Returns, starts: Starts) -
         np.testing.assert_array_equal(expert_returns(env, CartPoleMPC(), starts(8)), 1500)
 
 
+@pytest.mark.slow
 def test_it_plans_for_its_own_cart_pole(expert_returns: Returns, starts: Starts) -> None:
     env = CartPole(pole_mass=0.5, half_length=0.3, max_force=20.0, max_steps=800)
     np.testing.assert_array_equal(expert_returns(env, CartPoleMPC(env), starts(8)), 800)
@@ -67,6 +68,7 @@ def test_solve() -> None:
         np.testing.assert_allclose(got, np.linalg.solve(matrix, right), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_it_swings_up_as_well_as_the_energy_controller(expert_returns: Returns, starts: Starts) -> None:
     """Over 100 starts -148.9 and -148.7."""
     mine = expert_returns(Pendulum(), PendulumMPC(), starts(32))
@@ -91,7 +93,11 @@ def test_a_plan_costs_what_its_simulation_does() -> None:
         np.testing.assert_allclose(cost, total, rtol=1e-10)
 
 
-@pytest.mark.parametrize("planner", [CartPoleMPC(), PendulumMPC()], ids=["cartpole", "pendulum"])
+@pytest.mark.parametrize(
+    "planner",
+    [pytest.param(CartPoleMPC(), marks=pytest.mark.slow), PendulumMPC()],
+    ids=["cartpole", "pendulum"],
+)
 def test_a_function_that_can_be_followed(planner: CartPoleMPC | PendulumMPC) -> None:
     """Of the observation alone: bounded, odd, mostly smooth, the same alone and among lanes and after a pickle."""
     rng = np.random.default_rng(0)

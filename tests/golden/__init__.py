@@ -80,14 +80,21 @@ def store(case: str, folder: Path) -> None:
     MADE_BY.write_text(json.dumps(_here(out), indent=1) + "\n")
 
 
-def check(case: str, folder: Path, jobs: int = 2) -> Iterator[str]:
+def check(case: str, folder: Path, jobs: int = 2, algo: str = "", seeds: int = 0) -> Iterator[str]:
     """Runs a case in `folder`, in so many processes; a line for each thing that is not as it is kept.
 
-    Columns that are kept must be there with the same bits; a version may add others.
+    Columns that are kept must be there with the same bits; a version may add others. With `algo` and `seeds` only
+    that learner's runs and so many of them: rows of a run depend on no other.
     """
-    out = sweep(folder / case, jobs=jobs, **CASES[case])
+    fewer: dict[str, Any] = ({"algo": algo} if algo else {}) | ({"seeds": seeds} if seeds else {})
+    out = sweep(folder / case, jobs=jobs, **CASES[case] | fewer)
     for table, read in _TABLES.items():
         kept, rows = pd.read_parquet(ROWS / f"{case}-{table}.parquet"), read(out)
+        if algo:
+            kept = kept[kept["algo"] == algo]
+        if seeds:
+            kept = kept[kept["seed"] < seeds]
+        kept = kept.reset_index(drop=True)
         if len(rows) != len(kept):
             yield f"{case}: {len(rows)} {table}, {len(kept)} are kept"
             continue

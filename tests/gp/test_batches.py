@@ -76,8 +76,11 @@ def programs():
 @pytest.mark.parametrize(
     ("name", "axes"),
     [
-        *(("correct", 2), ("uncertainty", 1), ("scan", 1), ("hyperparameters", 2)),
-        *(("likelihood", 1), ("gradient", 2), ("hessian", 1)),
+        *(("correct", 2), ("hyperparameters", 2), ("gradient", 2)),
+        *(
+            pytest.param(name, 1, marks=pytest.mark.slow)
+            for name in ("uncertainty", "scan", "likelihood", "hessian")
+        ),
     ],
 )
 def test_no_kernel_is_given_a_batch(name, axes):
@@ -92,6 +95,7 @@ def test_no_kernel_is_given_a_batch(name, axes):
         assert any(each.primitive.name == "cond" and len(each.params["branches"]) == 4 for each in found)
 
 
+@pytest.mark.slow
 def test_lanes_have_the_bits_that_they_have_alone():
     """With dictionaries of different lengths, so that they are factorised at different sizes."""
     learner, rng = make_learner("gpc-ns", "cartpole", capacity=32), np.random.default_rng(0)
@@ -118,6 +122,7 @@ def test_lanes_have_the_bits_that_they_have_alone():
     assert_same_bits(flat, jax.tree.map(lambda *leaves: np.stack(leaves), *alone))
 
 
+@pytest.mark.slow
 def test_derivatives_of_either_mode():
     rng = np.random.default_rng(0)
     matrix, vector = jnp.asarray(np.cov(rng.normal(size=(4, 50)))), jnp.asarray(rng.normal(size=4))
@@ -169,6 +174,7 @@ threads = [threading.Thread(target=often) for _ in range(4)]
 """
 
 
+@pytest.mark.slow
 def test_a_process_with_default_settings_comes_to_an_end():
     """A pool of threads for each core, several factorisations at a time, from several threads of Python."""
     ours = ("JAX_", "XLA_", "NPROC", "OMP_", "OPENBLAS_", "MKL_")

@@ -20,6 +20,10 @@ LATTICE = 4
 SIZES = (5, 100, 300, 520)
 """No multiples of a tile."""
 
+each_size = pytest.mark.parametrize(
+    "capacity", [5, pytest.param(100, marks=pytest.mark.slow), 300, pytest.param(520, marks=pytest.mark.slow)]
+)
+
 LONGEST = 40
 """Steps of a generated sequence."""
 
@@ -230,7 +234,7 @@ def counts(capacity: int) -> list[int]:
     return sorted(borders(capacity) - met)
 
 
-@pytest.mark.parametrize("capacity", SIZES)
+@each_size
 def test_on_both_sides_of_the_borders_of_tiles(capacity):
     """A root that replacements have filled: read, one point appended, one replaced in several rows."""
     rng = np.random.default_rng(capacity)
@@ -253,7 +257,9 @@ def test_on_both_sides_of_the_borders_of_tiles(capacity):
                 assert_same_bits(put_back(new, count, 0.0), root)
 
 
-@pytest.mark.parametrize("capacity", [*SIZES, 700])
+@pytest.mark.parametrize(
+    "capacity", [300, *(pytest.param(size, marks=pytest.mark.slow) for size in (5, 100, 520, 700))]
+)
 def test_appending_against_a_dense_solve(capacity):
     """To a lower root, on both sides of the borders of tiles; up to 600 points."""
     rng, last = np.random.default_rng(capacity), min(capacity, 600)
@@ -294,7 +300,14 @@ def test_appended_one_by_one_as_put():
     dense.check_inverse(appended, 1e-9)
 
 
-@pytest.mark.parametrize(("small", "large"), [(5, 48), (48, 64), (64, 300), (130, 256), (300, 512)])
+@pytest.mark.parametrize(
+    ("small", "large"),
+    [
+        (5, 48),
+        (130, 256),
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in ((48, 64), (64, 300), (300, 512))),
+    ],
+)
 @pytest.mark.parametrize("is_lower", [False, True])
 def test_grown_roots_are_the_same(small, large, is_lower):
     """And take in further points."""
@@ -315,7 +328,7 @@ def test_a_lower_root_takes_half_of_the_room():
     assert factor.empty(2048, lower=True).size < 0.55 * factor.empty(2048).size
 
 
-@pytest.mark.parametrize("where", [(2,), (1, 2)])
+@pytest.mark.parametrize("where", [pytest.param((2,), marks=pytest.mark.slow), (1, 2)])
 def test_one_of_many_places_touches_no_other(where):
     """The others are not even numbers."""
     rng, capacity, count = np.random.default_rng(9), 50, 40

@@ -37,7 +37,7 @@ def ours(smoothness, points, targets, values):
 
 
 @each_smoothness
-@pytest.mark.parametrize("d", [1, 3])
+@pytest.mark.parametrize("d", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_likelihood_and_its_slope_are_those_of_scikit_learn(smoothness, d):
     points, targets = data(d=d)
     points[1] = points[0]  # a repeat, where a Matern kernel's root has no slope
@@ -52,7 +52,9 @@ def test_the_likelihood_and_its_slope_are_those_of_scikit_learn(smoothness, d):
         np.testing.assert_allclose(gradient, slope, rtol=1e-6, atol=1e-8)
 
 
-@each_smoothness
+@pytest.mark.parametrize(
+    "smoothness", [nu if nu == 1.5 else pytest.param(nu, marks=pytest.mark.slow) for nu in SMOOTHNESSES]
+)
 def test_the_optimum_is_scikit_learns(smoothness):
     points, targets = data()
     reference = sklearn(smoothness, n_restarts_optimizer=4, random_state=0).fit(points, targets)

@@ -25,6 +25,10 @@ NOISE = 1e-7
 WEIGHTS = np.array([1.0, 1 / 6, 2.0])
 
 each_scaling = pytest.mark.parametrize("normalise", [False, True], ids=["fixed", "normalised"])
+fixed_first = pytest.mark.parametrize(
+    "normalise", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["fixed", "normalised"]
+)
+"""For what both have from the code that they share."""
 
 
 def kernel_of(smoothness: float = 1.5) -> Kernel:
@@ -117,8 +121,13 @@ steps = st.lists(
 )
 
 
-@each_scaling
-@pytest.mark.parametrize("smoothness", [0.5, 1.5, 2.5, SQUARED_EXPONENTIAL])
+@pytest.mark.parametrize(
+    ("normalise", "smoothness"),
+    [
+        *((False, 0.5), (False, 1.5), (False, 2.5), (False, SQUARED_EXPONENTIAL), (True, 1.5)),
+        *(pytest.param(True, nu, marks=pytest.mark.slow) for nu in (0.5, 2.5, SQUARED_EXPONENTIAL)),
+    ],
+)
 @settings(max_examples=12)
 @given(steps)
 def test_against_scikit_learn(normalise, smoothness, steps):
@@ -163,7 +172,7 @@ def test_rounding_cannot_take_the_variance_below_the_noise(normalise):
     np.testing.assert_allclose(mean, 0.5, rtol=1e-6)
 
 
-@each_scaling
+@fixed_first
 def test_growing_keeps_what_was_learned(normalise):
     process = make(normalise)
     posterior, probes = filled(process, 11), np.random.default_rng(2).normal(size=(5, 3))
@@ -207,7 +216,7 @@ def test_a_model_without_weights_has_the_same_deviations(normalise):
     np.testing.assert_allclose(deviations, predict(full, filled(full, 10), probes)[1], atol=1e-12)
 
 
-@pytest.mark.parametrize("capacity", [CAPACITY, 70])
+@pytest.mark.parametrize("capacity", [CAPACITY, pytest.param(70, marks=pytest.mark.slow)])
 def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
     """And tells beforehand how uncertain it was; a point that is not given leaves it as it is, be it full or not."""
     process = appending(SQUARED_EXPONENTIAL)
@@ -233,7 +242,9 @@ def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
 
 
 @each_scaling
-@pytest.mark.parametrize("capacity", [33, 100, 300])
+@pytest.mark.parametrize(
+    "capacity", [33, *(pytest.param(size, marks=pytest.mark.slow) for size in (100, 300))]
+)
 def test_across_the_borders_of_blocks(normalise, capacity):
     """Scikit-learn again, with full dictionaries whose capacity is no multiple of what is read at once."""
     process, rng = make(normalise), np.random.default_rng(capacity)
@@ -254,8 +265,8 @@ def test_across_the_borders_of_blocks(normalise, capacity):
             np.testing.assert_array_equal(posterior.points[:count], points[:count])
 
 
-@each_scaling
-@pytest.mark.parametrize("where", [(1,), (2, 0)])
+@fixed_first
+@pytest.mark.parametrize("where", [pytest.param((1,), marks=pytest.mark.slow), (2, 0)])
 def test_one_of_many_places_touches_no_other(normalise, where):
     """Put or appended; the others are not even numbers."""
     process, place = make(normalise), tuple(map(jnp.asarray, where))
@@ -292,6 +303,7 @@ def test_one_of_many_places_touches_no_other(normalise, where):
 
 
 @each_scaling
+@pytest.mark.slow
 def test_a_batch_is_its_members(normalise):
     process = make(normalise)
     lanes = [filled(process, count, seed=count) for count in (0, 3, 8, 15)]

@@ -147,6 +147,7 @@ def test_minibatches_differ_by_key_and_by_the_number_of_corrections(compiled, ta
     assert len({float(compiled.learn(state, *advised)[0].loss) for state in later}) == 3
 
 
+@pytest.mark.slow
 def test_learning_is_pure_and_the_same_in_lanes(learner, compiled):
     states = [compiled.init(jax.random.key(seed)) for seed in range(3)]
     block = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)

@@ -19,6 +19,8 @@ from tests.trees import assert_close, assert_same_bits
 
 ROOT = Path(__file__).parents[2]
 each_variant = pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+gpc_first = pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
+"""For what both have from the code that they share."""
 
 
 def taught(learner, count=12, seed=0):
@@ -36,9 +38,11 @@ def dimension(state, i):
     return jax.tree.map(lambda leaf: np.asarray(leaf)[i], state)
 
 
-@each_variant
 class TestWithoutAdvice:
-    @pytest.mark.parametrize("count", [0, 12, 16])
+    @each_variant
+    @pytest.mark.parametrize(
+        "count", [*(pytest.param(count, marks=pytest.mark.slow) for count in (0, 16)), 12]
+    )
     def test_a_dimension_is_untouched_to_the_bit(self, algo, count):
         """Be it empty, half full or full; the other dimension learns as ever."""
         learner = make_learner(algo, "lunarlander", capacity=16, sparsify=False)
@@ -55,6 +59,7 @@ class TestWithoutAdvice:
                 both, _ = learner.correct(state, obs, action, np.ones(2))
                 assert_close(dimension(after, advised), dimension(both, advised), 1e-9)
 
+    @gpc_first
     def test_no_advice_at_all_changes_nothing(self, algo):
         learner = make_learner(algo, "lunarlander", capacity=16)
         state = taught(learner)
@@ -63,6 +68,7 @@ class TestWithoutAdvice:
             assert_same_bits(after, state)
             assert info.status == Status.OK and not info.rate.any()
 
+    @gpc_first
     def test_even_in_a_state_that_was_grown(self, algo):
         learner = make_learner(algo, "lunarlander", capacity=16)
         state = learner.grow(taught(learner))
@@ -70,7 +76,7 @@ class TestWithoutAdvice:
         assert_same_bits(dimension(after, 0), dimension(state, 0))
 
 
-@each_variant
+@gpc_first
 class TestFull:
     """Both dictionaries have four places, and the fifth correction is far from the others.
 
@@ -105,7 +111,9 @@ class TestFull:
         assert after.human.targets[0, 0] == -1
         assert after.policy.targets[0, 0] == pytest.approx(0.1 - info.rate[0])
 
-    @pytest.mark.parametrize("room", [{}, {"repeat": True}, {"human": 8}])
+    @pytest.mark.parametrize(
+        "room", [{}, {"repeat": True}, pytest.param({"human": 8}, marks=pytest.mark.slow)]
+    )
     def test_drop_refuses_for_both_models(self, algo, room):
         """Whichever has no room: neither learns, and the answer says so."""
         _, before, after, info = self.correct(algo, "drop", **room)
@@ -127,7 +135,7 @@ class TestFull:
 
 
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
-@pytest.mark.parametrize("count", [0, 1, 10])
+@pytest.mark.parametrize("count", [0, pytest.param(1, marks=pytest.mark.slow), 10])
 def test_what_is_not_finite_never_enters_a_state(algo, count):
     """Nor what makes other numbers infinite, be the dictionary empty or not."""
     learner = make_learner(algo, "cartpole", **({"capacity": 16} if algo != "coach" else {}))
@@ -151,7 +159,7 @@ def test_every_status_has_a_word_and_a_message():
     assert len({status.message for status in Status}) == 4
 
 
-@each_variant
+@gpc_first
 class TestOneCodePath:
     def test_direct_jitted_and_batched_calls_agree(self, algo):
         """Eight corrections of five learners at once, with hyperparameters of their own."""
@@ -295,7 +303,7 @@ class TestSparsification:
             **options,
         )
 
-    @pytest.mark.parametrize("order", [(-1, 1), (1, -1)])
+    @pytest.mark.parametrize("order", [(-1, 1), pytest.param((1, -1), marks=pytest.mark.slow)])
     def test_a_tie_goes_to_the_lowest_index(self, order):
         """Two points at the same distance on both sides."""
         learner = self.learner()
@@ -328,6 +336,7 @@ class TestSparsification:
         _, info = learner.correct(learner.init(), [0.0], [0.0], [1])
         assert info.appended and not info.replaced
 
+    @pytest.mark.slow
     def test_switched_off(self):
         learner = self.learner(sparsify=False)
         state = learner.init()
@@ -349,6 +358,7 @@ class TestRate:
         _, again = learner.correct(state, np.zeros(4), [0.0], [1])
         assert again.rate < 0.1 * info.rate
 
+    @pytest.mark.slow
     def test_the_target_is_not_clipped_and_starts_from_the_executed_action(self):
         learner = make_learner("gpc", "cartpole", capacity=16, static_rate=0.04)
         state, info = learner.correct(learner.init(), np.zeros(4), [0.99], [1])
@@ -366,7 +376,8 @@ class TestRate:
             assert sign * learner.act(state, np.zeros(4)) > 0.1
 
 
-@each_variant
+@gpc_first
+@pytest.mark.slow
 def test_growing_keeps_the_policy_and_learns_on(algo):
     """As if there had been room from the start."""
     small = make_learner(algo, "cartpole", capacity=8, sparsify=False)
@@ -389,7 +400,7 @@ def test_growing_keeps_the_policy_and_learns_on(algo):
     np.testing.assert_allclose(small.act(grown, probe), roomy.act(full, probe), atol=1e-10)
 
 
-@each_variant
+@gpc_first
 def test_the_controller_is_the_policy_before_clipping(algo):
     learner = make_learner(algo, "lunarlander", capacity=16)
     state, obs = taught(learner), np.random.default_rng(3).normal(size=(6, 8))

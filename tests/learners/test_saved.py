@@ -44,7 +44,7 @@ def learner_of(algo):
     return make_learner(algo, obs_size=2, action_size=2, **options)
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow), "coach"])
 def test_what_is_saved_goes_on_to_the_bit(tmp_path, algo):
     """Also from a state that has grown."""
     learner = learner_of(algo)
@@ -94,6 +94,7 @@ def test_what_was_not_packed_is_refused():
             unpack_policy({**card, **changed}, arrays)
 
 
+@pytest.mark.slow
 def test_in_a_fresh_process_too(tmp_path):
     learner = learner_of("gpc-ns")
     state = teach(learner, learner.init(), 0, 3)
@@ -133,7 +134,7 @@ def test_policies_and_learners_are_told_apart(tmp_path):
         gpcjax.load_policy(tmp_path / "learner")
 
 
-@pytest.mark.parametrize("algo", ["gpc", "coach"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("coach", marks=pytest.mark.slow)])
 def test_advice_that_is_none_is_not_learned_under_jit(algo):
     """There its value is not known when it is checked: the status tells, and no dimension is changed."""
     learner = learner_of(algo)
@@ -148,7 +149,7 @@ def test_advice_that_is_none_is_not_learned_under_jit(algo):
     assert correct(state, jnp.ones(2), jnp.zeros(2), jnp.array([1.0, -1.0]))[1].status == 0
 
 
-@pytest.mark.parametrize("algo", ["gpc", "coach"])
+@pytest.mark.parametrize("algo", [pytest.param("gpc", marks=pytest.mark.slow), "coach"])
 def test_an_action_that_was_never_executed_is_not_learned(algo):
     """What is executed is clipped: a loop that gives what it proposed is told so."""
     learner = learner_of(algo)

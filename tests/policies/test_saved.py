@@ -39,7 +39,7 @@ def saved(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow), "coach"])
 def test_what_is_saved_is_loaded_to_the_bit(tmp_path, algo):
     learner, state = taught(algo)
     gpcjax.save_policy(tmp_path / "deep" / "policy", learner, state)

@@ -80,7 +80,9 @@ def test_the_oracle_has_a_band_where_its_return_varies():
     assert figure.axes[0].get_ylabel() == "return (negative cost)"
 
 
-@pytest.mark.parametrize("errors", [1, 2, 4, 7, 24])
+@pytest.mark.parametrize(
+    "errors", [1, 7, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 4, 24))]
+)
 def test_any_number_of_error_rates_fits(errors):
     rates = [number / 48 for number in range(errors)]
     figure = curves.learning_curves(
@@ -93,7 +95,14 @@ def test_any_number_of_error_rates_fits(errors):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"seeds": 1}, {"length": 1}, {"algos": ("coach",)}, {"oracles": ("gpc", "lqr")}]
+    "changes",
+    [
+        {"seeds": 1, "length": 1},
+        *(
+            pytest.param(each, marks=pytest.mark.slow)
+            for each in ({"seeds": 1}, {"length": 1}, {"algos": ("coach",)}, {"oracles": ("gpc", "lqr")})
+        ),
+    ],
 )
 def test_small_stores_can_be_drawn(changes):
     frame = synthetic.episodes(**{"seeds": 3, "errors": (0.0, 0.1), **changes})
@@ -352,7 +361,7 @@ def small():
     return summary_of(frame, list(points["gpc"][0]))
 
 
-@pytest.mark.parametrize("kind", ["png", "svg"])
+@pytest.mark.parametrize("kind", ["png", pytest.param("svg", marks=pytest.mark.slow)])
 def test_figures_depend_on_nothing_of_the_users(small, kind):
     plain = pictures(small, kind)
     with matplotlib.style.context(["dark_background", HOSTILE]):

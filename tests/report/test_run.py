@@ -11,7 +11,7 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
-from gpcjax.report import curves
+from gpcjax.report import curves, style
 from gpcjax.report import run as run_module
 from gpcjax.report.run import draw, draw_frames
 from gpcjax.sweep import runfolder
@@ -27,6 +27,12 @@ PLAIN = {
     "rates.pdf",
     "report.html",
 }
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Every figure is made, none is painted: that takes seconds."""
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
 
 
 class Reader(HTMLParser):
@@ -70,7 +76,7 @@ def test_draw_writes_everything_from_the_store(out):
     assert before == {path: path.read_bytes() for path in summary.files}
 
 
-def test_report_stands_alone_and_says_what_was_run(out):
+def test_report_stands_alone_and_says_what_was_run(out, unpainted):
     frame = synthetic.episodes(seeds=3)
     frame.loc[(frame["seed"] == 1) & (frame["algo"] == "gpc") & (frame["episode"] == 30), "status"] = (
         "non-finite"
@@ -91,7 +97,7 @@ def test_report_stands_alone_and_says_what_was_run(out):
         assert fact in text
 
 
-def test_grid_adds_a_heatmap(out):
+def test_grid_adds_a_heatmap(out, unpainted):
     points = synthetic.length_scale_grid((0.1, 0.2), (0.1, 0.2))
     names = list(points["gpc"][0])
     frame = synthetic.episodes(seeds=3, errors=(0.0,), length=8, points=points)
@@ -105,7 +111,7 @@ def test_grid_adds_a_heatmap(out):
     )
 
 
-def test_one_run_of_one_algorithm_without_corrections(out):
+def test_one_run_of_one_algorithm_without_corrections(out, unpainted):
     frame = synthetic.episodes(algos=("coach",), errors=(0.0,), seeds=1, length=3)
     rows = synthetic.corrections(algos=("coach",), errors=(0.0,), seeds=1).iloc[:0]
     summary = draw_frames(out, frame, rows, synthetic.manifest(frame))
@@ -125,7 +131,7 @@ class TestUnwritable:
     """One line, as a sweep has it."""
 
     @pytest.fixture(autouse=True)
-    def run_folder(self, out):
+    def run_folder(self, out, unpainted):
         frame = synthetic.episodes(seeds=3, errors=(0.0,), length=4)
         synthetic.write(out, frame, synthetic.corrections(seeds=3, errors=(0.0,)), synthetic.manifest(frame))
 
@@ -144,7 +150,13 @@ class TestUnwritable:
         message = f"{out}: nothing can be written there (Read-only file system), report on a copy of it"
         assert self.refusal(out) == message
 
-    @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG])
+    @pytest.mark.parametrize(
+        "number",
+        [
+            errno.ENOSPC,
+            *(pytest.param(each, marks=pytest.mark.slow) for each in (errno.EDQUOT, errno.EIO, errno.EFBIG)),
+        ],
+    )
     def test_a_file_that_cannot_be_written(self, out, monkeypatch, number):
         def full(path, content):
             raise OSError(number, os.strerror(number), str(path))
@@ -164,7 +176,7 @@ class TestUnwritable:
             assert "no such folder, give a folder that a sweep has made" in self.refusal(out / name)
 
 
-def test_what_is_damaged_is_left_out_with_a_line(out, capsys):
+def test_what_is_damaged_is_left_out_with_a_line(out, unpainted, capsys):
     frame = synthetic.episodes(seeds=4, errors=(0.0,), length=4, algos=("coach",))
     corrections = synthetic.corrections(seeds=4, errors=(0.0,), algos=("coach",))
     synthetic.write(out, frame, corrections, synthetic.manifest(frame))

@@ -25,7 +25,7 @@ def of(part, **settings):
 
 class TestFewRuns:
     @pytest.mark.parametrize("part", ["pendulum", "cartpole", "lander"])
-    @pytest.mark.parametrize("seeds", [1, 4])
+    @pytest.mark.parametrize("seeds", [1, pytest.param(4, marks=pytest.mark.slow)])
     def test_nothing_is_shown_and_nothing_refuted(self, part, seeds):
         tested = of(part, seeds=seeds)
         assert {claim.verdict for claim in tested} == {NOT_TESTED}
@@ -35,7 +35,9 @@ class TestFewRuns:
 class TestOrder:
     TEXT = "GPC outperforms COACH at every error rate"
 
-    @pytest.mark.parametrize("part", ["pendulum", "cartpole", "lander"])
+    @pytest.mark.parametrize(
+        "part", ["pendulum", *(pytest.param(part, marks=pytest.mark.slow) for part in ("cartpole", "lander"))]
+    )
     @pytest.mark.parametrize(
         ("gpc", "verdict"),
         [
@@ -81,8 +83,8 @@ class TestAlike:
         [
             (0.0, HOLDS),
             (0.03, HOLDS),
-            (-0.03, HOLDS),
-            (0.08, REFUTED),
+            pytest.param(-0.03, HOLDS, marks=pytest.mark.slow),
+            pytest.param(0.08, REFUTED, marks=pytest.mark.slow),
             (-0.08, REFUTED),
             ([0.0, 0.08, 0.0], "holds at 0%, 20%; refuted at 10%"),
         ],
@@ -150,9 +152,14 @@ def test_both_ways(part, text, good, bad):
     ("part", "text", "algo"),
     [
         ("cartpole", "COACH attains convergence", "coach"),
-        ("cartpole", "GPC is very robust", "gpc"),
-        ("lander", "GPC converges at every", "gpc"),
-        ("lander", "GPC-NS converges at every", "gpc-ns"),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (
+                ("cartpole", "GPC is very robust", "gpc"),
+                ("lander", "GPC converges at every", "gpc"),
+                ("lander", "GPC-NS converges at every", "gpc-ns"),
+            )
+        ),
     ],
 )
 @pytest.mark.parametrize(

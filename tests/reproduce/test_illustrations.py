@@ -58,7 +58,7 @@ class TestHyperparameters:
     def test_the_true_noise_is_found(self, fig2_2):
         assert 0.05 < np.sqrt(fig2_2.noise[1]) < 0.3  # 0.15
 
-    @pytest.mark.parametrize("which", [0, 1])
+    @pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
     def test_curves_and_likelihoods_are_scikit_learns(self, fig2_2, which):
         variance, scale, noise = fig2_2.variance[which], fig2_2.length_scale[which], fig2_2.noise[which]
         kernel = ConstantKernel(variance) * RBF(scale) + WhiteKernel(noise)
@@ -203,6 +203,7 @@ class TestErroneous:
         assert gpc_ns[1] > gpc_ns[0] and gpc[1] < gpc[0]
 
 
+@pytest.mark.slow
 class TestRepetitions:
     SEEDS = np.arange(4)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from gpcjax import cli
 from gpcjax.sweep import run as run_module
@@ -19,6 +20,7 @@ episodes = 2
 """
 
 
+@pytest.mark.slow
 def test_two_seeds_of_two_episodes_on_the_pendulum(tmp_path, monkeypatch):
     """A second call computes nothing."""
     sweeps = tmp_path / "sweeps"

@@ -86,7 +86,7 @@ def pretended(monkeypatch):
 
 @pytest.fixture
 def unpainted(monkeypatch):
-    """Every figure is made, none is painted: that takes seconds, and test_the_whole_of_it does it."""
+    """Every figure is made, none is painted: that takes seconds, and test_the_whole_of_it does it in the end."""
     monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
 
 
@@ -103,9 +103,11 @@ def numbers(out):
     }
 
 
-def test_the_whole_of_it(sweeps, pretended, tmp_path, monkeypatch):
-    """In few pixels."""
-    monkeypatch.setattr(style, "image", functools.partial(style.image, dpi=20))
+@pytest.mark.parametrize("painted", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_whole_of_it(sweeps, pretended, tmp_path, monkeypatch, painted):
+    """In few pixels, or none."""
+    paint = functools.partial(style.image, dpi=20) if painted else lambda figure, kind: kind.encode()
+    monkeypatch.setattr(style, "image", paint)
     out = tmp_path / "out"
     assert reproduce(sweeps, out, SWEPT, quick=True, jobs=1) == out / "report.html"
     for name in EXPERIMENTS:

@@ -109,6 +109,9 @@ FIGURES = {
     "erroneous": (sketches.erroneous, erroneous, 6),
 }
 each_figure = pytest.mark.parametrize("name", FIGURES)
+the_fullest = pytest.mark.parametrize(
+    "name", [name if name == "situations" else pytest.param(name, marks=pytest.mark.slow) for name in FIGURES]
+)
 
 
 def drawn(name):
@@ -131,7 +134,7 @@ def test_every_panel_is_titled_and_labelled(name):
     assert width <= 7.2  # a page
 
 
-@each_figure
+@the_fullest
 def test_nothing_is_clipped_and_no_texts_overlap(name):
     figure, _, _ = drawn(name)
     renderer = FigureCanvasAgg(figure).get_renderer()
@@ -158,7 +161,7 @@ def test_nothing_is_clipped_and_no_texts_overlap(name):
             assert not box.overlaps(another), (text, other)
 
 
-@pytest.mark.parametrize("name", ["early_plane", "late_plane"])
+@pytest.mark.parametrize("name", [pytest.param("early_plane", marks=pytest.mark.slow), "late_plane"])
 def test_maps_have_units_bars_and_fitting_colours(name):
     figure, panels, count = drawn(name)
     assert panels[0].get_xlabel().endswith("[rad]") and panels[0].get_ylabel().endswith("[rad/s]")
@@ -189,7 +192,7 @@ def test_there_is_an_arrow_for_each_advice():
     assert [len(axis.texts) for axis in panels] == [12, 12]
 
 
-@pytest.mark.parametrize("name", ["sparsification", "late_plane"])
+@pytest.mark.parametrize("name", ["sparsification", pytest.param("late_plane", marks=pytest.mark.slow)])
 def test_files_repeat_to_the_bit(name):
     draw, record, _ = FIGURES[name]
     value = record()
@@ -222,6 +225,7 @@ def test_lines_upon_each_other_differ_in_their_dashes():
         assert len({line.get_linestyle() for line in curves}) == 2
 
 
+@pytest.mark.slow
 def test_drawing_loads_no_jax():
     code = "import sys, gpcjax.reproduce.sketches; assert not {'jax', 'matplotlib.pyplot'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

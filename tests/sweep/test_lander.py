@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from tests.sweep.test_sweeps import kill_and_resume
@@ -12,15 +13,25 @@ SETTINGS = {"env": "lunarlander", "algo": ["gpc", "coach"], "seeds": 2, "episode
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory):
+def both(tmp_path_factory):
     """The sweep in one process, never interrupted."""
-    return sweep(tmp_path_factory.mktemp("reference") / "out", jobs=1, **SETTINGS)
+    return sweep(tmp_path_factory.mktemp("both") / "out", jobs=1, **SETTINGS)
+
+
+@pytest.fixture(scope="module", params=["coach", pytest.param("both", marks=pytest.mark.slow)])
+def reference(request, tmp_path_factory):
+    """That of both learners, and that of COACH alone, here: its programs are quickly traced, and it has no tiers."""
+    if request.param == "both":
+        return request.getfixturevalue("both")
+    out = tmp_path_factory.mktemp("coach") / "out"
+    return sweep(out, executor=InProcess(), **SETTINGS | {"algo": "coach"})
 
 
 def test_what_it_holds(reference):
     frame, corrections = read_episodes(reference), read_corrections(reference)
+    algos = [algo for algo in SETTINGS["algo"] if algo in set(frame["algo"])]
     assert frame[["algo", "seed", "episode"]].values.tolist() == [
-        [algo, seed, episode] for algo in SETTINGS["algo"] for seed in (0, 1) for episode in (1, 2)
+        [algo, seed, episode] for algo in algos for seed in (0, 1) for episode in (1, 2)
     ]
     assert set(frame["oracle"]) == {"heuristic"} and set(frame["status"]) == {"ok"}
     assert frame["return"].nunique() == len(frame) and frame["length"].between(50, 1000).all()
@@ -30,7 +41,7 @@ def test_what_it_holds(reference):
     assert frame["chance"].to_numpy() == pytest.approx(0.05)
     # Every learner of a seed begins alike: the same start, the same coins.
     first = corrections.groupby(["algo", "seed"]).first()[["episode", "step", "action_dim"]]
-    assert first.loc["gpc"].equals(first.loc["coach"])
+    assert all(first.loc[algo].equals(first.loc["coach"]) for algo in algos)
 
 
 def test_the_manifest(reference):
@@ -41,5 +52,6 @@ def test_the_manifest(reference):
     assert idle["n"] == oracle["n"] == 100 and idle["mean"] < -100 and oracle["mean"] > 200
 
 
-def test_killed_and_resumed_by_two_processes(reference, tmp_path):
-    kill_and_resume(SETTINGS, reference, tmp_path, jobs=2)
+@pytest.mark.slow
+def test_killed_and_resumed_by_two_processes(both, tmp_path):
+    kill_and_resume(SETTINGS, both, tmp_path, jobs=2)

@@ -64,6 +64,7 @@ def test_the_same_key_repeats_and_keys_differ(trained):
     assert not np.allclose(other.weights[0], trained[0].weights[0])
 
 
+@pytest.mark.slow
 def test_what_observations_are_scaled_by_is_in_the_first_layer():
     """Before the first move of the network, so that its layers are known."""
     idle = dataclasses.replace(TRAINING, learning_rate=0.0, updates=1)

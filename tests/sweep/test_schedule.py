@@ -13,8 +13,8 @@ from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import spec_of
 from tests.report import synthetic
 
-ACTIVE = "sweep --env=cartpole --algo=gpc --error=0.1 --oracle=lqr --seeds=3 --episodes=3 --max-capacity=64 --jobs=1"
-ACTIVE += " --rate=0.05 --active-gain=1"
+ACTIVE = "sweep --env=cartpole --algo=gpc --error=0.1 --oracle=lqr --seeds=3 --episodes=3 --max-capacity=48 --jobs=1"
+ACTIVE += " --on-full=replace-nearest --rate=0.05 --active-gain=1"
 FOLLOWER = "sweep --env=cartpole --algo=coach --oracle=lqr --seeds=2 --episodes=3 --jobs=1"
 
 

@@ -40,6 +40,7 @@ SETTINGS = {
 COACH = SETTINGS | {"algo": "coach"}
 SETTINGS |= {"max_capacity": 48, "on_full": "replace-nearest"}
 """With dictionaries that do not grow: a program of each learner is enough."""
+TWO = SETTINGS | {"algo": ["gpc", "coach"]}
 KEYS = ["algo", "error", "seed", "episode"]
 GOLDEN = {
     "gpc": {
@@ -60,9 +61,23 @@ PATIENCE = 120
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory):
-    """The sweep in one process, never interrupted."""
-    return sweep(tmp_path_factory.mktemp("reference") / "out", jobs=1, **SETTINGS)
+def two_learners(tmp_path_factory):
+    """The sweep in one process, never interrupted; without GPC-NS, whose programs take longest to trace."""
+    return sweep(tmp_path_factory.mktemp("two") / "out", jobs=1, **TWO)
+
+
+@pytest.fixture(scope="module", params=["two", pytest.param("three", marks=pytest.mark.slow)])
+def reference(request, tmp_path_factory):
+    """That of two learners, and that of all."""
+    if request.param == "two":
+        return request.getfixturevalue("two_learners")
+    return sweep(tmp_path_factory.mktemp("three") / "out", jobs=1, **SETTINGS)
+
+
+def settings_of(reference: Path) -> dict:
+    """What made it."""
+    algos = json.loads((reference / "manifest.json").read_text())["specification"]["algo"]
+    return SETTINGS | {"algo": list(algos)}
 
 
 def assert_the_same_rows(got: Path, expected: Path, query: str = "seed >= 0") -> None:
@@ -137,10 +152,11 @@ def kill_and_resume(
 
 def test_what_it_holds(reference):
     frame, corrections = read_episodes(reference), read_corrections(reference)
-    assert len(frame) == 3 * 2 * 2 * 3 and (frame["status"] == "ok").all()
+    algos = settings_of(reference)["algo"]
+    assert len(frame) == len(algos) * 2 * 2 * 3 and (frame["status"] == "ok").all()
     assert frame[KEYS].values.tolist() == [
         [algo, error, seed, episode]
-        for algo in SETTINGS["algo"]
+        for algo in algos
         for error in SETTINGS["error"]
         for seed in (0, 1)
         for episode in (1, 2, 3)
@@ -154,7 +170,7 @@ def test_what_it_holds(reference):
         both.groupby(KEYS[:3])["size"].sum() == both.groupby(KEYS[:3])["corrections"].sum().clip(upper=200)
     ).all()
     whole = both[(both["size"] == both["corrections"]) & (both["size"] > 0)]
-    assert len(whole) > 8
+    assert len(whole) > 2 * len(algos)
     np.testing.assert_allclose(whole["mean_rate"], whole["mean"], rtol=1e-12)
 
 
@@ -168,10 +184,11 @@ def test_every_learner_of_a_seed_begins_alike(reference):
     """The idle policy from the same start, hearing the same coins: the first correction comes at the same step."""
     first = read_corrections(reference).groupby(["algo", "error", "seed"]).first()[["episode", "step"]]
     for error in SETTINGS["error"]:
-        for algo in ("gpc-ns", "coach"):
+        for algo in settings_of(reference)["algo"]:
             assert first.loc["gpc", error].equals(first.loc[algo, error])
 
 
+@pytest.mark.slow
 def test_against_a_plain_loop(reference):
     """The first episode of a cell of each learner, step by step with itself: its return and its corrections."""
     frame, corrections = read_episodes(reference), read_corrections(reference)
@@ -186,7 +203,7 @@ def test_against_a_plain_loop(reference):
         advice = jnp.where(jnp.abs(gap) > cell.delta, jnp.sign(gap), 0.0) * (coins < cell.rate)
         return action, jnp.where(coins < cell.rate * cell.error, -advice, advice), env.step(at, action)
 
-    for cell in plan(spec_of(**SETTINGS))[::5]:
+    for cell in plan(spec_of(**settings_of(reference)))[::5]:
         start, rates = start_of(cell), []
         learner = jax.tree.map(jnp.asarray, start.learner)
         state, at = learner.init(), env.reset(streams.start_key(cell.seed, 0))
@@ -221,7 +238,7 @@ def test_golden_run(reference):
 
 def test_the_manifest(reference):
     manifest = json.loads((reference / "manifest.json").read_text())
-    assert manifest["complete"] and manifest["cells"] == 12
+    assert manifest["complete"] and manifest["cells"] == 4 * len(settings_of(reference)["algo"])
     assert manifest["env_steps"] == read_episodes(reference)["length"].sum()
     assert 0 < manifest["compile_time_s"] < manifest["wall_time_s"]
     env = make_env("cartpole")
@@ -233,20 +250,22 @@ def test_the_manifest(reference):
         assert numbers == {"mean": returns.mean(), "std": returns.std(ddof=1), "n": 100}
 
 
-def test_a_second_call_starts_no_worker(reference, monkeypatch):
+def test_a_second_call_starts_no_worker(two_learners, monkeypatch):
     monkeypatch.setattr(run_module, "Processes", None)
-    before = {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
-    sweep(reference, jobs=2, **SETTINGS)
-    assert before == {path: path.stat().st_mtime_ns for path in reference.rglob("*")}
+    before = {path: path.stat().st_mtime_ns for path in two_learners.rglob("*")}
+    sweep(two_learners, jobs=2, **TWO)
+    assert before == {path: path.stat().st_mtime_ns for path in two_learners.rglob("*")}
 
 
-def test_a_cell_alone(reference, tmp_path):
+@pytest.mark.slow
+def test_a_cell_alone(two_learners, tmp_path):
     alone = COACH | {"error": 0.2, "seeds": 1}
     assert_the_same_rows(
-        sweep(tmp_path / "out", **alone), reference, "algo == 'coach' and error == 0.2 and seed == 0"
+        sweep(tmp_path / "out", **alone), two_learners, "algo == 'coach' and error == 0.2 and seed == 0"
     )
 
 
+@pytest.mark.slow
 def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
     """A delay is a column like any other setting, though what is compiled differs; the learner reckons with another."""
     settings = COACH | {"error": 0.0, "delay": [0.0, 0.2], "credit": 0.1}
@@ -260,6 +279,7 @@ def test_late_advice_is_varied_and_resumed(tmp_path, monkeypatch):
     sweep(out, jobs=1, **settings)
 
 
+@pytest.mark.slow
 def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
     settings = SETTINGS | {"algo": "gpc", "error": 0.0, "seeds": 1, "max_capacity": 3, "on_full": "error"}
     out = sweep(tmp_path / "out", executor=InProcess(), **settings)
@@ -272,12 +292,12 @@ def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
     assert frame["human_points"].iloc[-1] == 3
 
 
-def test_killed_and_resumed(reference, tmp_path):
-    """Without GPC-NS, as the next one: for each process its programs are traced anew, which takes longest."""
-    kill_and_resume(SETTINGS | {"algo": ["gpc", "coach"]}, reference, tmp_path, "algo != 'gpc-ns'")
+def test_killed_and_resumed(two_learners, tmp_path):
+    kill_and_resume(TWO, two_learners, tmp_path)
 
 
-def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, tmp_path):
+@pytest.mark.slow
+def test_stopped_with_control_c_and_resumed_by_two_in_another_order(two_learners, tmp_path):
     """Ctrl-C goes to the whole group, here while the workers are still starting up."""
     out = tmp_path / "out"
     words = [
@@ -303,5 +323,5 @@ def test_stopped_with_control_c_and_resumed_by_two_in_another_order(reference, t
     assert line == f"gpcjax: stopped: {out} keeps what is finished, the same command goes on from there"
     assert not list(out.rglob("*.tmp"))
     subprocess.run([sys.executable, *words], cwd=ROOT, check=True, capture_output=True)
-    assert_the_same_rows(out, reference, "algo == 'coach'")
+    assert_the_same_rows(out, two_learners, "algo == 'coach'")
     assert (out / "report.html").exists() and (out / "summary.csv").exists()

@@ -98,6 +98,7 @@ def _taught(server):
     return read_episodes(server.folder)["return"].to_numpy()
 
 
+@pytest.mark.slow
 def test_a_cart_pole_is_taught_to_stand(opened):
     """By who looks at the page alone, to the full 2,500 steps."""
     page, server = opened("cartpole")
@@ -110,6 +111,7 @@ def test_a_cart_pole_is_taught_to_stand(opened):
     assert 2500.0 in _taught(server)
 
 
+@pytest.mark.slow
 def test_a_pendulum_is_taught_to_swing_up(opened):
     page, server = opened("pendulum")
     page.keyboard.press("Space")
@@ -147,6 +149,7 @@ def test_keys_alone(opened):
     assert "goes on with it" in server.end()
 
 
+@pytest.mark.slow
 def test_two_tabs(opened, browser):
     """The second is told, and may take over; the first is told then."""
     page, server = opened("cartpole")
