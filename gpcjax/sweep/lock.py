@@ -16,8 +16,8 @@ from gpcjax.errors import UserError
 LOCK = ".gpcjax.lock"
 """The locked file in a run folder. What it says is for people; what counts is the lock on it."""
 
-LOOK_SECONDS = 0.02
-"""Somebody who only looks whether a folder is held (`holder`) has its lock for much less."""
+TRIES, LOOK_SECONDS = 10, 0.01
+"""Somebody who only looks whether a folder is held (`holder`) has its lock for much less, and may look again."""
 
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
@@ -44,11 +44,7 @@ def held(out: Path) -> Iterator[None]:
         yield
         return
     try:
-        try:
-            descriptor = _locked(folder / LOCK)
-        except BlockingIOError:
-            time.sleep(LOOK_SECONDS)
-            descriptor = _locked(folder / LOCK)
+        descriptor = _patiently_locked(folder / LOCK)
     except BlockingIOError:
         raise UserError(
             f"{out}: another sweep writes there{_holder(folder / LOCK)}: "
@@ -64,6 +60,16 @@ def held(out: Path) -> Iterator[None]:
     finally:
         del _held[folder]
         _release(folder / LOCK, descriptor)
+
+
+def _patiently_locked(path: Path) -> int | None:
+    """As `_locked`, which another may have held for a moment."""
+    for _ in range(TRIES - 1):
+        try:
+            return _locked(path)
+        except BlockingIOError:
+            time.sleep(LOOK_SECONDS)
+    return _locked(path)
 
 
 def holder(out: Path) -> str | None:
