@@ -263,7 +263,7 @@ def _report(out: Path, as_json: bool) -> int:
 
     summary = draw(out)
     if as_json:
-        table = json.loads(summary.table().to_json(orient="records"))
+        table = json.loads(summary.table().to_json(orient="records") or "[]")
         print(
             json.dumps(
                 {"event": "report", "out": str(out), "files": [*map(str, summary.files)], "rows": table}

@@ -55,7 +55,7 @@ def _loaded(
     folder = checked_path("out", out)
     check_report(folder)
     frame = read_kept(folder)
-    wanted = frame if kind == "policy" else frame[frame["kind"] == kind]
+    wanted: pd.DataFrame = frame if kind == "policy" else frame.loc[frame["kind"] == kind]
     if wanted.empty:
         what = "states" if kind == "state" else "policies"
         raise UserError(
@@ -66,7 +66,7 @@ def _loaded(
         if name not in names:
             raise UserError(f"{shown(name)} is no column{suggestion(name, names)}: give {', '.join(names)}")
         several = [values] if isinstance(values, str) or not np.iterable(values) else list(values)
-        wanted = wanted[wanted[name].isin(several)]
+        wanted = wanted.loc[wanted[name].isin(several)]
     found = [
         _row(folder, kind, *entries)
         for entries in zip(
@@ -77,7 +77,7 @@ def _loaded(
         name: pd.Series([make(each) for each in found], wanted.index, object)
         for name, make in columns.items()
     }
-    return wanted[names].assign(**made).reset_index(drop=True)
+    return wanted.loc[:, names].assign(**made).reset_index(drop=True)
 
 
 def _row(folder: Path, wanted: str, kind: str, card: str, arrays: bytes, algo: str, seed: int) -> Any:

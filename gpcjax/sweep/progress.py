@@ -35,7 +35,9 @@ class Watcher(Protocol):
 
     def __enter__(self) -> Any: ...
 
-    def __exit__(self, *error: Any) -> None: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
 
     def show(self, state: State) -> None:
         """Show this, now or later."""
@@ -74,7 +76,9 @@ class JsonLines:
         self._say("begin")
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._say("end")
 
     def show(self, state: State) -> None:
