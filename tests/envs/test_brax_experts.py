@@ -12,10 +12,13 @@ from brax.training.agents.ppo import networks
 from flax import linen
 
 from gpcjax import registry
+from gpcjax.engine.evaluate import evaluate
+from gpcjax.envs.brax_tasks import KNOWN
 from gpcjax.envs.brax_training import HIDDEN, arrays_of, quiet
+from gpcjax.envs.registry import make_env, make_expert, shipped
 from gpcjax.errors import UserError
 from gpcjax.policies.base import Policy
-from gpcjax.policies.saved import load_policy, save_controller
+from gpcjax.policies.saved import load_card, load_policy, save_controller, shipped_path
 from gpcjax.sweep.brax_oracles import network_of
 
 # brax and its dependencies announce deprecations as they load and run
@@ -76,6 +79,30 @@ def test_float32_is_close(of_brax):
     controller = network_of(arrays_of(normaliser, policy))
     found = jax.vmap(Policy(controller))(observations.astype(float))
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("task", KNOWN)
+def test_an_expert_ships(task):
+    """One for each of these, whose card says how it came about."""
+    (expert, name), *others = shipped(f"brax:{task}").items()
+    assert expert == "ppo" and not others
+    provenance = load_card(shipped_path(name))["provenance"]
+    assert provenance["env"] == f"brax:{task}" and provenance["starts"] == 100
+    assert provenance["steps"] > 1_000_000 and provenance["training"]["num_envs"] == 256
+    policy = load_policy(shipped_path(name))
+    assert np.abs(policy(np.zeros(policy.controller.obs_size))).max() <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", KNOWN)
+def test_shipped_experts_do_what_their_cards_say(task):
+    env_name, few = f"brax:{task}", 8
+    (expert, name), *_ = shipped(env_name).items()
+    provenance = load_card(shipped_path(name))["provenance"]
+    returns = np.asarray(evaluate(make_env(env_name), make_expert(env_name, expert), few).returns)
+    # Five standard errors of a mean over so few starts, which a policy of the same returns misses never.
+    limit = 5 * provenance["return_std"] / np.sqrt(few) + 1e-6
+    assert abs(returns.mean() - provenance["return_mean"]) <= limit
 
 
 def test_only_what_brax_lacks_is_unsaid(capsys):
