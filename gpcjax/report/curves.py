@@ -18,7 +18,7 @@ from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study, unique
 from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
 from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Summary
-from gpcjax.sweep.counted import Chosen
+from gpcjax.sweep.chosen import Chosen
 
 FIRST_CORRECTIONS = 150
 MOST_RATED = 10_000

@@ -13,7 +13,8 @@ from gpcjax.errors import UserError
 from gpcjax.registry import built_in
 from gpcjax.report.arranged import Lines, arranged, broken, compared_length, parted
 from gpcjax.report.statistics import Scores, first_crossing
-from gpcjax.sweep.counted import Coded, Episodes, joint
+from gpcjax.sweep.coded import Coded, joint
+from gpcjax.sweep.counted import Episodes
 
 T = TypeVar("T")
 

@@ -17,7 +17,8 @@ from gpcjax.report import content, curves, grids, html, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.sweep.atomic import write_atomic
-from gpcjax.sweep.counted import corrections_of, read_counted
+from gpcjax.sweep.chosen import corrections_of
+from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.runfolder import check_report, check_writable
 
@@ -38,10 +39,11 @@ def draw(out: Any) -> Summary:
     episodes, manifest = read_counted(out, tell)
     if episodes is None:
         raise UserError("the store holds no episodes: run the sweep first")
-    study = gather(episodes, manifest)
+    study, places = gather(episodes, manifest), episodes.places
     del episodes  # what is drawn is in the study
     summary = summarise(study)
-    return _written(out, summary, corrections_of(out, manifest, curves.shown_rates(summary)))
+    chosen = curves.shown_rates(summary)
+    return _written(out, summary, corrections_of(out, manifest, chosen, places.without(chosen)))
 
 
 def draw_frames(

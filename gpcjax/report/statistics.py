@@ -36,13 +36,19 @@ runs alone covers more than the samples that are not all equal, and of those the
 than twenty skewed runs it is still too narrow: 93% at ten, 90% at five.
 
 From 5,000 runs on nothing is resampled: Student's t is the interval of a mean, and a median lies between two order
-statistics (`median_band`). There both cover as often (percent of 1,500 samples, by the same module), in a width that
-is the same within 2%:
+statistics (`median_band`). Percent of 1,500 samples, by the same module, with the mean width in brackets:
 
 | returns | bootstrap-t, 4,999 runs | Student's t, 5,000 runs |
 |---|---|---|
-@@
-Only of outcomes so rare that a sample has ten of them does Student's t cover less; with a hundred it does not.
+| normal | 95.8 (0.0559) | 95.7 (0.0554) |
+| exponential | 95.3 (0.0561) | 95.1 (0.0554) |
+| 2500 in 1 of 10 | 95.5 (42.2) | 95.4 (41.6) |
+| 2500 in half | 94.5 (69.8) | 94.5 (69.3) |
+| 2500 in 9 of 10 | 95.7 (42.2) | 95.5 (41.6) |
+| 2500 in 1 of 100 | 95.7 (14.6) | 94.6 (13.8) |
+| 2500 in 1 of 500 | 97.5 (8.42) | 93.2 (6.10) |
+
+What differs is the upper side of outcomes so rare that ten of all runs have them.
 
 The draws are counts of how often each run was taken; they depend on the number of runs and a fixed seed alone, so that
 the same store gives the same table. Medians, of times until something happens and of learning rates, keep percentile

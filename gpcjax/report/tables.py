@@ -150,7 +150,7 @@ def reading(summary: Summary) -> list[str]:
     ]
     if clipped:
         lines.append(
-            f"Actions outside [-1, 1] were clipped at up to {100 * max(clipped):.2g}% of a row's steps; "
+            f"Actions outside [-1, 1] were clipped at up to {float(f'{100 * max(clipped):.2g}'):g}% of a row's steps; "
             "all counts are in summary.csv."
         )
     runs = max(group.runs for group in summary.study.groups)

@@ -15,22 +15,16 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.layout import CORRECTIONS, EPISODES, Say
+from gpcjax.sweep.chosen import Places
+from gpcjax.sweep.coded import Coded, Values, joint
+from gpcjax.sweep.layout import EPISODES, Say
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
-from gpcjax.sweep.rows import IDENTITY, correction_column
+from gpcjax.sweep.rows import IDENTITY
 
 OK = "ok"
 _TOTALS = ("length", "clipped", "full")
 _MEASURED = ("episode", "return", "corrections", *_TOTALS, "status")
-_OF_CORRECTIONS = ("episode", "step", "action_dim", "rate")
-
-
-class Coded(NamedTuple):
-    """A column of few values: `values[codes]`, and no value where the code is -1."""
-
-    codes: Int[np.ndarray, "cells"]
-    values: tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +42,7 @@ class Episodes:
     | `returns`     | [rows]          | sums of rewards                                                       |
     | `corrections` | [rows]          | that the learner took                                                 |
     | `status`      | [rows]          | "ok", or why the run ended after this episode                         |
+    | `part`        | [cells]         | the place in `parts` of the part that holds a cell; None of a frame   |
     """
 
     env: str
@@ -59,6 +54,13 @@ class Episodes:
     returns: Float[np.ndarray, "rows"]
     corrections: Int[np.ndarray, "rows"]
     status: Coded
+    part: Int[np.ndarray, "cells"] | None = None
+    parts: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> Places:
+        """What is needed to find a cell's part again, when the rows are no longer."""
+        return Places(self.settings, self.seeds, self.part, self.parts)
 
     @staticmethod
     def of(frame: pd.DataFrame, varying: Iterable[str]) -> "Episodes":
@@ -68,17 +70,7 @@ class Episodes:
             {name: frame[name].to_numpy() for name in ("seed", *_MEASURED[:-1])},
             _coded(frame, "status"),
         )
-        return _joined(str(frame["env"].iloc[0]), [part])[0]
-
-
-class Chosen(NamedTuple):
-    """Runs whose corrections are read: those of these seeds (ascending) with these settings."""
-
-    algo: str
-    oracle: str
-    error: float
-    settings: Mapping[str, float]
-    seeds: Int[np.ndarray, "runs"]
+        return _joined(str(frame["env"].iloc[0]), [part], [])[0]
 
 
 def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
@@ -88,71 +80,22 @@ def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
         UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
     """
     manifest = read_manifest(out)
-    varying, found, values = tuple(manifest["varying"]), Found(), _Values()
-    env, parts = "", []
+    varying, found, values = tuple(manifest["varying"]), Found(), Values()
+    env, parts, names = "", [], []
     for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
         table = part.tables[EPISODES]
         if len(table):
             env = env or str(table.column("env")[0])
             parts.append(_of_table(table, varying, values))
+            names.append(part.name)
     if found.damaged and not parts:
         path, what = next(iter(found.damaged.items()))
         raise UserError(
             f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
         )
-    episodes, found.repeated = _joined(env, parts) if parts else (None, 0)
+    episodes, found.repeated = _joined(env, parts, names) if parts else (None, 0)
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return episodes, manifest
-
-
-def corrections_of(out: Path, manifest: Mapping[str, Any], chosen: Sequence[Chosen]) -> pd.DataFrame:
-    """The corrections of some runs, as `gpcjax.load_corrections` has them but for columns that no figure shows.
-
-    Rows come in the order of the parts. Nothing is said of what is damaged: whoever chose the runs has read the folder.
-    """
-    varying = [correction_column(name) for name in manifest["varying"]]
-    columns = [*IDENTITY, *varying, *_OF_CORRECTIONS]
-    frames, seen = [], [np.zeros(0, np.int64)] * len(chosen)
-    for part in whole_parts(out, manifest, Found(), {CORRECTIONS: columns}):
-        table = part.tables[CORRECTIONS]
-        place = _chosen_by(table, chosen)
-        rows = np.flatnonzero(place >= 0)
-        rows = rows[np.argsort(place[rows], kind="stable")]
-        seeds = table.column("seed").to_numpy()[rows]
-        present, starts = np.unique(place[rows], return_index=True)
-        stops = [*starts[1:], len(rows)]
-        for which, start, stop in zip(present, starts, stops, strict=False):
-            new = np.isin(seeds[start:stop], chosen[which].seeds) & ~np.isin(seeds[start:stop], seen[which])
-            frames.append(table.take(rows[start:stop][new]).to_pandas())
-            seen[which] = np.union1d(seen[which], seeds[start:stop][new])
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
-
-
-def joint(columns: Sequence[Int[np.ndarray, "rows"]]) -> Int[np.ndarray, "rows"]:
-    """One number for each combination of codes (from -1): equal where all of them are."""
-    number, count = np.zeros(len(columns[0]), np.int64), 1
-    for codes in columns:
-        span = int(codes.max(initial=-1)) + 2
-        if count * span >= 1 << 62:
-            known, number = np.unique(number, return_inverse=True)
-            count = len(known)
-        number, count = number * span + (codes.astype(np.int64) + 1), count * span
-    return number
-
-
-class _Values:
-    """The values of each column in all parts, numbered as they come."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, dict[Any, int]] = {}
-
-    def coded(self, name: str, column: pa.ChunkedArray) -> Coded:
-        """The column of a part, by the numbers that hold for all parts."""
-        encoded = column.combine_chunks().dictionary_encode()
-        numbers = self._numbers.setdefault(name, {})
-        known = [numbers.setdefault(value, len(numbers)) for value in encoded.dictionary.to_pylist()]
-        place = encoded.indices.fill_null(len(known)).to_numpy(zero_copy_only=False)
-        return Coded(np.array([*known, -1], np.int32)[place], tuple(numbers))
 
 
 class _Part(NamedTuple):
@@ -197,7 +140,7 @@ class _Part(NamedTuple):
         )
 
 
-def _of_table(table: pa.Table, varying: Sequence[str], values: _Values) -> _Part:
+def _of_table(table: pa.Table, varying: Sequence[str], values: Values) -> _Part:
     return _Part.of(
         {name: values.coded(name, table.column(name)) for name in ("algo", "oracle", "error", *varying)},
         {name: table.column(name).to_numpy() for name in ("seed", *_MEASURED[:-1])},
@@ -205,7 +148,7 @@ def _of_table(table: pa.Table, varying: Sequence[str], values: _Values) -> _Part
     )
 
 
-def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
+def _joined(env: str, parts: list[_Part], names: Sequence[str]) -> tuple[Episodes, int]:
     """All parts, whose codes mean the same, and how many cells were left out: those that an earlier part holds too.
 
     The list is emptied on the way: of what it held nothing stays twice in memory.
@@ -219,6 +162,7 @@ def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
     totals = {name: np.concatenate([part.totals[name] for part in parts]) for name in _TOTALS}
     before = np.cumsum([0, *(len(part.seeds) for part in parts)])
     cell = np.concatenate([part.cell + int(start) for part, start in zip(parts, before, strict=False)])
+    part = np.repeat(np.arange(len(parts)), np.diff(before))
     columns = {
         "episode": np.concatenate([part.episode for part in parts]),
         "returns": np.concatenate([part.returns for part in parts]),
@@ -236,7 +180,7 @@ def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
         rows = kept[cell]
         cell = (np.cumsum(kept) - 1)[cell[rows]]
         columns = {name: column[rows] for name, column in columns.items()}
-        status, seeds = status[rows], seeds[kept]
+        status, seeds, part = status[rows], seeds[kept], part[kept]
         settings = {name: Coded(column.codes[kept], column.values) for name, column in settings.items()}
         totals = {name: total[kept] for name, total in totals.items()}
     made = Episodes(
@@ -246,6 +190,8 @@ def _joined(env: str, parts: list[_Part]) -> tuple[Episodes, int]:
         totals=totals,
         cell=cell.astype(np.int32),
         status=Coded(status, latest.status.values),
+        part=part if names else None,
+        parts=tuple(names),
         **columns,
     )
     return made, repeated
@@ -265,24 +211,3 @@ def _dense(seeds: np.ndarray) -> np.ndarray:
 def _sums(cell: np.ndarray, values: np.ndarray, cells: int) -> np.ndarray:
     """Exact below 2^53."""
     return np.bincount(cell, weights=values, minlength=cells).astype(np.int64)
-
-
-def _chosen_by(table: pa.Table, chosen: Sequence[Chosen]) -> Int[np.ndarray, "rows"]:
-    """The place in `chosen` of what each row belongs to by its settings; -1 for none.
-
-    Of a learner with an oracle and an error there is one in `chosen`.
-    """
-    places = {(runs.algo, runs.oracle, runs.error): place for place, runs in enumerate(chosen)}
-    values = _Values()
-    coded = [values.coded(name, table.column(name)) for name in ("algo", "oracle", "error")]
-    _, once, which = np.unique(
-        joint([column.codes for column in coded]), return_index=True, return_inverse=True
-    )
-    keys = [tuple(column.values[column.codes[row]] for column in coded) for row in once]
-    place = np.array([*(places.get(key, -1) for key in keys), -1])[which]
-    for name in dict.fromkeys(name for runs in chosen for name in runs.settings):
-        column = correction_column(name)
-        if column in table.column_names:
-            wanted = np.array([*(runs.settings.get(name, np.nan) for runs in chosen), np.nan])[place]
-            place[~np.isnan(wanted) & (table.column(column).to_numpy() != wanted)] = -1
-    return place

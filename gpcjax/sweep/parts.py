@@ -4,7 +4,7 @@ A part is a set of Parquet files of one name, see `gpcjax.sweep.layout`.
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,6 +70,7 @@ def whole_parts(
     manifest: Mapping[str, Any],
     found: Found,
     wanted: Mapping[str, Sequence[str] | None],
+    skip: Container[str] = (),
 ) -> Iterator[Part]:
     """Every part of the sweep in `out` that is whole, in the order of their names; the rest goes into `found`.
 
@@ -81,6 +82,7 @@ def whole_parts(
         manifest: says which sweep it is, and with which versions its rows are made.
         found: is filled on the way.
         wanted: the folders whose tables are given, with the columns of each, None for all.
+        skip: names of parts that are known to be whole, and are neither opened nor given.
 
     Raises:
         UserError: a file cannot be read, whatever it holds.
@@ -92,6 +94,9 @@ def whole_parts(
         path = out / EPISODES / name
         if name in replaced:
             found.replaced.append(name)
+            continue
+        if name in skip:
+            replaced.update(replacing.get(name, ()))
             continue
         try:
             if not path.is_file():

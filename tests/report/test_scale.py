@@ -19,7 +19,8 @@ from gpcjax.report.statistics import (
     median_intervals,
 )
 from gpcjax.report.summary import pairs_of, summarise
-from gpcjax.sweep.counted import Coded, Episodes
+from gpcjax.sweep.coded import Coded
+from gpcjax.sweep.counted import Episodes
 from tests.report import golden, synthetic
 from tests.report.coverage import covered
 

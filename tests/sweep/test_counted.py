@@ -8,7 +8,9 @@ import pytest
 
 from gpcjax.errors import UserError
 from gpcjax.report.groups import gather
-from gpcjax.sweep.counted import Chosen, Episodes, corrections_of, joint, read_counted
+from gpcjax.sweep.chosen import Chosen, corrections_of
+from gpcjax.sweep.coded import joint
+from gpcjax.sweep.counted import Episodes, read_counted
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read, read_corrections, read_episodes
@@ -140,6 +142,29 @@ def test_the_corrections_of_some_runs_are_those_of_the_frame(tmp_path):
     left, right = (frame.sort_values(keys).reset_index(drop=True) for frame in (found, wanted[found.columns]))
     pd.testing.assert_frame_equal(left, right)
     assert len(found) == 6 and corrections_of(tmp_path, manifest, []).empty
+    skipped = read_counted(tmp_path, lambda line: None)[0].places.without(chosen)
+    pd.testing.assert_frame_equal(corrections_of(tmp_path, manifest, chosen, skipped), found)
+
+
+def test_parts_without_a_chosen_run_are_not_opened(tmp_path):
+    spec = spec_of(**FIRST)
+    out = begun(tmp_path, spec)
+    store = Store(out, read_manifest(out))
+    cells = plan(spec)
+    for cell in cells:
+        store.append([rows(cell)])
+    counted, manifest = read_counted(out, lambda line: None)
+    chosen = [Chosen("coach", "lqr", 0.1, {}, np.array([1, 2]))]
+    skip = counted.places.without(chosen)
+    assert len(skip) == len(cells) - 2
+    before = corrections_of(out, manifest, chosen)
+    for name in skip:
+        (out / "corrections" / name).write_bytes(b"")
+        (out / "episodes" / name).write_bytes(b"")
+    pd.testing.assert_frame_equal(corrections_of(out, manifest, chosen, skip), before)
+    assert len(before) == 4
+    of_a_frame = Episodes.of(synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=2, length=3), [])
+    assert of_a_frame.places.without(chosen) == set()
 
 
 @pytest.mark.parametrize("largest", [3, 1 << 40])
