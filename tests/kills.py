@@ -38,6 +38,9 @@ SWEEPS = {
     "host": "--env lunarlander --algo coach --seeds 6 --episodes 20 --keep states --jobs 2",
 }
 CHECKPOINT = "0.5"
+PATIENCE = 3600.0
+"""Seconds until a sweep that should end is taken to hang: a busy machine is slow."""
+
 OUTLIVES = 1.0
 """Seconds that a worker may live on after its parent."""
 HEARD = {signal.SIGTERM: 143, signal.SIGHUP: 129, signal.SIGINT: 130}
@@ -112,7 +115,7 @@ def _until_it_ends(
                     running.wait(float(random.uniform(0.05, 0.9 * usual)))
                 kind = _kill(running, random, tally) if running.poll() is None else ""
             try:
-                status = running.wait(300)
+                status = running.wait(PATIENCE)
             finally:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(running.pid, signal.SIGKILL)
