@@ -21,7 +21,7 @@ from types import SimpleNamespace
 from gpcjax import cli
 from gpcjax.sweep import stopping
 
-def run(spec, out, jobs):
+def run(spec, out, jobs, **options):
     {body}
 
 sys.modules["gpcjax.sweep.run"] = SimpleNamespace(run=run)
