@@ -21,7 +21,7 @@ from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import notes
-from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, Option, parse
 from gpcjax.sweep.plan import count, default_out, varying
@@ -191,6 +191,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
     running = Running(jobs, arguments.json, *_kept(given))
+    check_learners(running.keeping, spec.algo, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
     if arguments.dry_run:

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -203,10 +204,15 @@ def test_what_is_to_be_kept(keep, at, expected):
         ("--keep states --keep-at fist", "--keep-at 'fist': give last, best"),
         ("--keep-at 3", "--keep-at '3': nothing is kept, give --keep policies or --keep states"),
         ("--checkpoint -1", "--checkpoint -1: give a number of at least 0"),
+        (
+            "--keep states --algo gpc,drifting:Linear",
+            "--keep: what drifting:Linear learns has no form in which",
+        ),
     ],
 )
 def test_mistakes(words, line, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
     assert cli.main(["sweep", "--env", "cartpole", *words.split()]) == 2
     assert capsys.readouterr().err.startswith(f"gpcjax: error: {line}")
     assert not list(tmp_path.iterdir())
