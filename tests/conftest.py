@@ -88,7 +88,6 @@ COMPILED_PLAINLY = (
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
     "learners/test_parity.py",
-    "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
     "sweep/test_ppo.py",

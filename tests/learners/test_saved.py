@@ -95,7 +95,6 @@ def test_what_was_not_packed_is_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("compiled_as_shipped")
 def test_in_a_fresh_process_too(tmp_path):
     learner = learner_of("gpc-ns")
     state = teach(learner, learner.init(), 0, 3)
