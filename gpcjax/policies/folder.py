@@ -59,6 +59,7 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         try:
             with _quietly(), _checkpointer() as checkpointer:
                 checkpointer.save((scratch / ARRAYS).absolute(), dict(arrays))
+            _forget_place(scratch / ARRAYS)
             (scratch / CARD).write_bytes(text)
             sums = "".join(f"{_sum(scratch / name)}  {name}\n" for name in _names(scratch))
             (scratch / SUMS).write_text(sums, encoding="ascii")
@@ -72,6 +73,13 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         raise UserError(
             f"{path}: it cannot be written there ({error.strerror or first_line(error)}), give another path"
         ) from None
+
+
+def _forget_place(arrays: Path) -> None:
+    """Takes out of a checkpoint where it was written: that is nobody's business who gets it, and no longer true."""
+    marker = arrays / "commit_success.txt"
+    if marker.exists():
+        marker.write_text("Checkpoint commit was successful", encoding="ascii")
 
 
 def read_card(path: Any, what: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import gpcjax
 from gpcjax.envs.registry import env_names, make_env, shipped
 from gpcjax.learners.factory import make_learner
 from gpcjax.policies.base import Controller, Policy
-from gpcjax.policies.saved import load_card, save_controller, shipped_path
+from gpcjax.policies.saved import load_card, load_policy, save_controller, shipped_path
 from tests.trees import assert_same_bits
 
 COACH = {"lower": (-1, -1, -1), "upper": (1, 1, 1), "counts": (2, 3, 4)}
@@ -222,3 +222,16 @@ def test_a_shipped_oracle_is_a_good_policy(task, name):
     assert provenance["return_mean"] >= provenance[f"{who}_return_mean"] - spread
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     assert size < 200_000
+
+
+def test_a_folder_does_not_say_where_it_was_written(tmp_path):
+    folders = [shipped_path(name) for name in ("cartpole", "pendulum-network", "brax-reacher")]
+    save_controller(tmp_path / "mine", load_policy(folders[0]).controller, {})
+    for folder in [*folders, tmp_path / "mine"]:
+        files = [path for path in folder.rglob("*") if path.is_file()]
+        assert len(files) > 5
+        for path in files:
+            assert not any(
+                word in path.read_bytes() for word in (b"/work", b"/tmp", b"/home", str(tmp_path).encode())
+            )
+        load_policy(folder)
