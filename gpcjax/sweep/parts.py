@@ -92,7 +92,7 @@ def whole_parts(
     replaced: set[str] = set()
     for name in [*replacing, *(name for name in names if name not in replacing)]:
         path = out / EPISODES / name
-        if name in replaced:
+        if name in replaced and path.is_file():
             found.replaced.append(name)
             continue
         if name in skip:

@@ -10,7 +10,7 @@ from pathlib import Path
 from gpcjax.errors import UserError
 from gpcjax.sweep import growth
 from gpcjax.sweep.atomic import target_of
-from gpcjax.sweep.layout import CORRECTIONS, DAMAGED, EPISODES, GIVE, GIVE_NEW, MANIFEST, parse_part, reason
+from gpcjax.sweep.layout import BESIDE, DAMAGED, EPISODES, GIVE, GIVE_NEW, MANIFEST, parse_part, reason
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
 from gpcjax.sweep.plan import canonical, specification_hash
@@ -47,7 +47,7 @@ def check_sweep(out: Path, spec: SweepSpec, grows: bool = True) -> None:
         raise UserError(f"{out}: this is no folder, {GIVE_NEW}")
     try:
         names = {path.name for path in out.iterdir()}
-        for name in (EPISODES, CORRECTIONS):
+        for name in (EPISODES, *BESIDE):
             if name in names and not (out / name).is_dir():
                 raise UserError(f"{out / name}: this is no folder, {GIVE_NEW}")
         hash_ = specification_hash(spec)
@@ -81,9 +81,8 @@ def _check_empty(out: Path, names: Iterable[str]) -> None:
     for name in sorted(names):
         if name == LOCK or target_of(name) == MANIFEST:
             continue
-        inside = (
-            sorted(path.name for path in (out / name).iterdir()) if name in (EPISODES, CORRECTIONS) else [""]
-        )
+        parts = name in (EPISODES, *BESIDE)
+        inside = sorted(path.name for path in (out / name).iterdir()) if parts else [""]
         if any(map(parse_part, inside)):
             raise UserError(f"{out}: it holds rows of another sweep and no manifest, {GIVE_NEW}")
         for each in inside:

@@ -3,13 +3,14 @@ import json
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.layout import FORMAT, UNSEALED, parse_part, part_name
+from gpcjax.sweep.layout import BESIDE, EPISODES, FORMAT, UNSEALED, parse_part, part_name
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import specification_hash
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable, set_aside
 from gpcjax.sweep.spec import spec_of
-from tests.sweep.folders import begun
+from gpcjax.sweep.store import Store
+from tests.sweep.folders import begun, manifest_of
 
 SPEC = spec_of(env="cartpole", error=[0, 0.1])
 
@@ -252,3 +253,15 @@ def test_report_needs_episodes(tmp_path):
     (tmp_path / "episodes").mkdir()
     (tmp_path / "episodes" / "0.parquet").touch()
     check_report(tmp_path)
+
+
+def test_a_sweep_that_was_killed_before_its_manifest_goes_on(tmp_path):
+    """With all the folders that its store makes."""
+    Store(tmp_path, manifest_of(SPEC))
+    assert len(list(tmp_path.iterdir())) == 1 + len(BESIDE)
+    check_sweep(tmp_path, SPEC)
+    for folder in (EPISODES, *BESIDE):
+        (tmp_path / folder).rmdir()
+        (tmp_path / folder).touch()
+        assert f"{tmp_path / folder}: this is no folder" in refusal(check_sweep, tmp_path, SPEC)
+        (tmp_path / folder).unlink()
