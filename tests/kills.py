@@ -30,6 +30,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
+from tests.sweep.processes import alive, workers_of
 
 ROOT = Path(__file__).parent.parent
 SWEEPS = {
@@ -136,7 +137,7 @@ def _until_it_ends(
 
 def _kill(running: subprocess.Popen, random: np.random.Generator, tally: Tally) -> str:
     """Kills something of a sweep; says what."""
-    workers = _workers_of(running.pid)
+    workers = workers_of(running.pid)
     kind = str(random.choice(["parent", "parent", "worker", "signal", "two signals"]))
     if kind == "worker" and workers:
         with contextlib.suppress(ProcessLookupError):
@@ -153,7 +154,7 @@ def _kill(running: subprocess.Popen, random: np.random.Generator, tally: Tally) 
     running.kill()
     running.wait()
     limit = time.monotonic() + OUTLIVES
-    while any(map(_alive, workers)):
+    while any(map(alive, workers)):
         if time.monotonic() > limit:
             tally.wrong.append(f"a worker lives {OUTLIVES} s after its parent")
             break
@@ -212,23 +213,6 @@ def _same(got: pd.DataFrame, expected: pd.DataFrame) -> bool:
     except AssertionError:
         return False
     return True
-
-
-def _workers_of(pid: int) -> list[int]:
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            fields = status.read_text().rpartition(")")[2].split()
-            if int(fields[1]) == pid and fields[0] != "Z":
-                found.append(int(status.parent.name))
-    return sorted(found)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def main() -> int:

@@ -20,7 +20,7 @@ MOST = 2000
 """Programs that are remembered: the last ones."""
 
 FROM_CACHE = 0.2
-"""Part of the seconds of compiling that a program takes which is in the cache: tracing and reading, measured."""
+"""Part of the seconds of compiling that a program may take once it is in the cache: a guess, until it is seen."""
 
 LEAST_DONE = 0.5
 """Of a program's steps, to be remembered: the first episodes of runs are shorter than the later ones, or longer."""

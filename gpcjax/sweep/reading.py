@@ -1,6 +1,6 @@
 """The rows of a run folder as pandas frames. Loads no jax."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,20 +35,9 @@ def read(out: Path, say: Say = warn) -> Rows:
         UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
     """
     manifest = read_manifest(out)
-    varying, found, seen = manifest["varying"], Found(), set()
-    episodes, corrections = [], []
-    keys = [*IDENTITY, *varying]
-    for part in whole_parts(out, manifest, found, {EPISODES: None, CORRECTIONS: None}):
-        cells = cells_of(part.tables[EPISODES], keys)
-        new, old = cells - seen, cells & seen
-        found.repeated += len(old)
-        seen |= new
-        for folder, names, tables in (
-            (EPISODES, keys, episodes),
-            (CORRECTIONS, [*IDENTITY, *map(correction_column, varying)], corrections),
-        ):
-            table = part.tables[folder]
-            tables.append(_of_cells(table, names, new) if old else table)
+    varying, found = manifest["varying"], Found()
+    tables = _once(out, manifest, found, {EPISODES: None, CORRECTIONS: None})
+    episodes, corrections = tables[EPISODES], tables[CORRECTIONS]
     if found.damaged and not episodes:
         path, what = next(iter(found.damaged.items()))
         raise UserError(
@@ -79,16 +68,10 @@ def read_kept(out: Path, say: Say = warn) -> pd.DataFrame:
         UserError: `out` is no run folder, or its manifest is damaged.
     """
     manifest = read_manifest(out)
-    varying, found, seen = manifest["varying"], Found(), set()
-    keys, tables = [*IDENTITY, *varying], []
-    for part in whole_parts(out, manifest, found, {EPISODES: keys, KEPT: None}):
-        cells = cells_of(part.tables[EPISODES], keys)
-        if KEPT in part.tables:
-            old = cells & seen
-            tables.append(_of_cells(part.tables[KEPT], keys, cells - seen) if old else part.tables[KEPT])
-        seen |= cells
+    varying, found = manifest["varying"], Found()
+    tables = _once(out, manifest, found, {EPISODES: [*IDENTITY, *varying], KEPT: None})
     found.speak(out, say, "left out, the same sweep computes what is missing again")
-    return _frame(tables, varying, ["episode"])
+    return _frame(tables[KEPT], varying, ["episode"])
 
 
 def load(out: Any) -> pd.DataFrame:
@@ -154,6 +137,23 @@ def _read_some(out: Path) -> Rows:
     if manifest["complete"] and lost > 0:
         warn(f"{out}: {lost} of its {manifest['cells']} runs are lost, the same sweep computes them again")
     return rows
+
+
+def _once(
+    out: Path, manifest: Mapping[str, Any], found: Found, wanted: Mapping[str, Sequence[str] | None]
+) -> dict[str, list[pa.Table]]:
+    """The wanted tables of all whole parts by folder, the episodes among them, without cells that came before."""
+    keys, tables = [*IDENTITY, *manifest["varying"]], {folder: [] for folder in wanted}
+    seen: set[tuple[Any, ...]] = set()
+    for part in whole_parts(out, manifest, found, wanted):
+        cells = cells_of(part.tables[EPISODES], keys)
+        new, old = cells - seen, cells & seen
+        found.repeated += len(old)
+        seen |= new
+        for folder, table in part.tables.items():
+            names = list(map(correction_column, keys)) if folder == CORRECTIONS else keys
+            tables[folder].append(_of_cells(table, names, new) if old else table)
+    return tables
 
 
 def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]]) -> pa.Table:

@@ -21,7 +21,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, program_of, specification_hash, varying
+from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
@@ -210,7 +210,7 @@ class _Sweep:
             on_progress=self._show,
             on_note=tell,
             orders=orders,
-            before=experience.of({program_of(cell) for cell in missing}, cache_folder()),
+            before=lambda programs: experience.of(programs, cache_folder()),
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or Bar)(spec.env, len(missing), self._desk.workers, works=works)

@@ -1,12 +1,15 @@
 """Which worker gets which cells, and in what order. Pure: no process, no clock, no jax."""
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from gpcjax.registry import find
 from gpcjax.sweep.estimate import least_to_join, works_of
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import Cell, Program, program_of
+
+Before = Callable[[Iterable[Program]], Mapping[Program, Cost]]
+"""Tells what programs took when they ran here the last time, of those that are known."""
 
 BATCH = 16
 """Cells handed out at once, at most."""
@@ -22,10 +25,10 @@ class Sharing:
     Args:
         cells: what is to run.
         workers: how many there are; they are named by their numbers from 0 on.
-        before: what programs took when they ran here the last time.
+        before: tells what programs took the last time.
     """
 
-    def __init__(self, cells: Iterable[Cell], workers: int, before: Mapping[Program, Cost] = {}):
+    def __init__(self, cells: Iterable[Cell], workers: int, before: Before = lambda programs: {}):
         self._left: dict[Program, deque[Cell]] = {}
         for cell in cells:
             self._left.setdefault(program_of(cell), deque()).append(cell)
@@ -39,7 +42,7 @@ class Sharing:
         """Cells that are not back yet, and who has them."""
         self._stepping: set[int] = set()
         """Workers that have made a step in their programs."""
-        self.works = works_of(self._sizes, before)
+        self.works = works_of(self._sizes, before(self._sizes))
         """The state of each program; what is reckoned by time is filled in by who keeps the time."""
 
     @property

@@ -26,6 +26,7 @@ from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
+from tests.sweep.processes import alive, workers_of
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = {
@@ -106,24 +107,6 @@ def process(words, out, env=None):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)
         running.wait()
-
-
-def workers_of(pid: int) -> list[int]:
-    """Processes whose parent is `pid`."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            fields = status.read_text().rpartition(")")[2].split()
-            if int(fields[1]) == pid and fields[0] != "Z":
-                found.append(int(status.parent.name))
-    return found
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def kill_and_resume(

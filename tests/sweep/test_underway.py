@@ -23,7 +23,8 @@ from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
 from gpcjax.sweep.run import sweep, versions
 from gpcjax.sweep.spec import spec_of
-from tests.sweep.test_sweeps import alive, process, wait_for, workers_of
+from tests.sweep.processes import alive, workers_of
+from tests.sweep.test_sweeps import process, wait_for
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
 COMPILED = {"env": "cartpole", "algo": "gpc", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}

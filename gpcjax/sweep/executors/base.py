@@ -27,11 +27,10 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.estimate import Work
-from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.sharing import Sharing
+from gpcjax.sweep.sharing import Before, Sharing
 
 COMPILES_FROM = 0.5
 """Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
@@ -130,7 +129,7 @@ class Desk:
         on_progress: called with the totals, some times a second.
         on_note: called with each line that a worker has for the person.
         orders: what workers do beside.
-        before: what programs took when they ran here the last time.
+        before: tells what programs took the last time.
     """
 
     def __init__(
@@ -143,7 +142,7 @@ class Desk:
         on_progress: Callable[[Totals], None],
         on_note: Callable[[str], None] = lambda line: None,
         orders: Orders = Orders(),
-        before: Mapping[Program, Cost] = {},
+        before: Before = lambda programs: {},
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
         self.workers = max(1, min(jobs, len(self.cells) or 1))
