@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from gpcjax.report.style import publication
+from gpcjax.report.figures.style import publication
 
 PANELS = {
     "lanes": "lanes (runs to do, one core)",

@@ -18,7 +18,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gpcjax.report import curves, markdown, style
+from gpcjax.report import markdown
+from gpcjax.report.figures import curves, style
 from gpcjax.report.tables import difference_sheets, reading, result_sheets
 from gpcjax.reproduce import page
 from gpcjax.reproduce.claims import claims

@@ -9,6 +9,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -241,28 +242,36 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
         _note()
         with held(out):  # until the report is written, too
             watcher = JsonLines if running.as_json else Bar
-            run(
+            ran = run(
                 spec,
                 out,
                 running.jobs,
                 keeping=running.keeping,
                 checkpoint=running.checkpoint,
                 watcher=watcher,
+                meanwhile=_prepare_report,
             )
             (out / FAULT).unlink(missing_ok=True)
-            return _report(out, running.as_json)
+            return _report(out, running.as_json, anew=ran)
     except KeyboardInterrupt as stop:
         return _stopped(out, stop)
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
 
 
-def _report(out: Path, as_json: bool) -> int:
+def _prepare_report() -> None:
+    """Loads what the report needs: of this process nothing else is wanted while the workers compute."""
+    with suppress(Exception):  # the report will say it
+        import gpcjax.report.figures.drawing
+        import gpcjax.report.terminal  # noqa: F401
+
+
+def _report(out: Path, as_json: bool, anew: bool = True) -> int:
     check_report(out)
     from gpcjax.report.run import draw
     from gpcjax.report.terminal import render
 
-    summary = draw(out)
+    summary = draw(out, anew=anew)
     if as_json:
         table = json.loads(summary.table().to_json(orient="records") or "[]")
         print(

@@ -201,7 +201,7 @@ def workers_in_process(settings_of_jax):
 @pytest.fixture(scope="module")
 def figures_unpainted():
     """Every figure of this module is made, none is painted: that takes seconds, and the tests of reports do it."""
-    from gpcjax.report import style
+    from gpcjax.report.figures import style
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "image", lambda figure, kind: kind.encode())

@@ -39,7 +39,7 @@ def calls(monkeypatch, tmp_path):
 
     monkeypatch.setitem(sys.modules, "gpcjax.sweep.run", SimpleNamespace(run=run))
 
-    def draw(out):
+    def draw(out, anew=True):
         record.drawn.append(out)
         frame = pd.DataFrame({"algo": ["gpc"], "area": [1.5]})
         return SimpleNamespace(files=(out / "summary.csv", out / "report.html"), table=lambda: frame)
@@ -376,7 +376,7 @@ def test_a_sweep_has_its_folder_until_its_report_is_written(calls, capsys, monke
     """Whoever asks meanwhile, also from another thread, is refused in one line."""
     lines = []
 
-    def draw(out):
+    def draw(out, anew=True):
         with ThreadPoolExecutor() as pool:
             lines.append(pool.submit(fails, capsys, *"sweep --env cartpole --out here".split()).result())
         return SimpleNamespace(files=())

@@ -5,7 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t as student
+
+from gpcjax.report.distributions import student_quantile
 
 RESAMPLES = 5000
 LEVEL = 0.95
@@ -46,7 +47,7 @@ def studentised(
         shrunk = (runs * varied.clip(0) + variance) / (runs + 1)
         return moved / np.sqrt(shrunk)
 
-    least = student.ppf(TAILS[1], runs - 1) / np.sqrt(runs - 1)
+    least = student_quantile(TAILS[1], runs - 1) / np.sqrt(runs - 1)
     sides = np.full((2, len(variance)), least)
     if runs < MANY_RUNS:
         low, high = np.quantile(_bootstrap((runs, tasks), resampled), TAILS, axis=0)

@@ -13,10 +13,11 @@ import pandas as pd
 
 from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
-from gpcjax.report import compare_figure, compare_page, html, style, words
+from gpcjax.report import compare_page, html, words
 from gpcjax.report.compare_match import Folder, Match, Pair, checked_by, match, names_of, opened
 from gpcjax.report.compare_notes import differing
 from gpcjax.report.compare_numbers import Difference, Profile, differences, profiles
+from gpcjax.report.figures import compare_figure, style
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
 from gpcjax.sweep.atomic import write_atomic

@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.stats import beta
 
 from gpcjax.report.compare_match import Folder, Match, Pair, cut, of_seeds
+from gpcjax.report.distributions import beta_quantile
 from gpcjax.report.groups import Group
 from gpcjax.report.statistics import LEVEL, Band, Interval, Scores, holm, mean_interval, student_p
 
@@ -185,8 +185,8 @@ def _binomial_bounds(
     tail = (1 - LEVEL) / 2
     lower, upper = np.zeros(len(successes)), np.ones(len(successes))
     some, rest = successes > 0, successes < runs
-    lower[some] = beta.ppf(tail, successes[some], runs - successes[some] + 1)
-    upper[rest] = beta.ppf(1 - tail, successes[rest] + 1, runs - successes[rest])
+    lower[some] = beta_quantile(tail, successes[some], runs - successes[some] + 1)
+    upper[rest] = beta_quantile(1 - tail, successes[rest] + 1, runs - successes[rest])
     return lower, upper
 
 

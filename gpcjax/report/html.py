@@ -26,12 +26,12 @@ On a narrow screen the figure is not shrunk but scrolls, as the tables do.
 """
 
 
-def render(document: Document) -> str:
-    """The whole page."""
+def render(document: Document, head: str = "") -> str:
+    """The whole page; `head` is a line more of its head, in HTML."""
     body = [f"<h1>{escape(document.title)}</h1>", *map(_block, document.blocks)]
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n{head}'
         f"<title>{escape(document.title)}</title>\n<style>{_CSS}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(filter(None, body))
         + "\n</main>\n</body>\n</html>\n"

@@ -11,24 +11,25 @@ from typing import Any
 
 import pandas as pd
 
-from gpcjax.allowed import checked_path
+from gpcjax.allowed import SWITCH, checked, checked_path
 from gpcjax.errors import UserError
-from gpcjax.report import content, curves, grids, html, style
+from gpcjax.report.drawn import Mark
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
-from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.chosen import corrections_of
 from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.runfolder import check_report, check_writable
 
-_MEND = "make room and give the right to write, or report on a copy"
 
-
-def draw(out: Any) -> Summary:
+def draw(out: Any, anew: Any = True) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
     What is damaged or foreign in the store is left out, with a line on stderr.
+
+    Args:
+        out: the run folder.
+        anew: draw also what was drawn before of the same rows, and lies there as it was written. True or False.
 
     Raises:
         UserError: `out` holds no store, no episode yet or none that is whole, or nothing can be written there.
@@ -42,8 +43,15 @@ def draw(out: Any) -> Summary:
     study, places = gather(episodes, manifest), episodes.places
     del episodes  # what is drawn is in the study
     summary = summarise(study)
-    chosen = curves.shown_rates(summary)
-    return _written(out, summary, corrections_of(out, manifest, chosen, places.without(chosen)))
+    mark = Mark.made_of(out, manifest, summary)
+    if not checked("anew", anew, bool, SWITCH) and (files := mark.files(out)):
+        return replace(summary, files=files)
+    # Not above: matplotlib takes longer to import than all else here to compute.
+    from gpcjax.report.figures.curves import shown_rates
+    from gpcjax.report.figures.drawing import write
+
+    chosen = shown_rates(summary)
+    return write(out, summary, corrections_of(out, manifest, chosen, places.without(chosen)), mark)
 
 
 def draw_frames(
@@ -54,28 +62,6 @@ def draw_frames(
     Raises:
         UserError: there is no episode, or a file cannot be written.
     """
-    return _written(out, summarise(gather(episodes, manifest)), corrections)
+    from gpcjax.report.figures.drawing import write
 
-
-def _written(out: Path, summary: Summary, corrections: pd.DataFrame) -> Summary:
-    drawings = {
-        "curves": curves.learning_curves(summary),
-        "rates": curves.learning_rates(summary, corrections),
-        "heatmap": grids.final_returns(summary),
-    }
-    files = {
-        "summary.csv": summary.table().to_csv(index=False),
-        "differences.csv": summary.difference_table().to_csv(index=False),
-    }
-    pictures = []
-    for name, drawing in drawings.items():
-        if drawing is not None:
-            files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
-            pictures.append(style.pictured(drawing))
-    files["report.html"] = html.render(content.document(summary, pictures))
-    for name, written in files.items():
-        try:
-            write_atomic(out / name, written)
-        except OSError as error:
-            raise UserError(f"{out / name}: cannot be written ({error.strerror}), {_MEND}") from None
-    return replace(summary, files=tuple(out / name for name in files))
+    return write(out, summarise(gather(episodes, manifest)), corrections)

@@ -60,11 +60,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import binom
-from scipy.stats import t as student
 
 from gpcjax.report import bootstrap
 from gpcjax.report.bootstrap import LEVEL, MANY_RUNS, RESAMPLES, TAILS, median_bounds, studentised
+from gpcjax.report.distributions import fair_binomial_quantile, student_tail
 
 __all__ = ["LEVEL", "MANY_RUNS", "RESAMPLES"]
 
@@ -181,7 +180,7 @@ def median_band(curves: Float[np.ndarray, "runs points"]) -> Band:
     """
     ordered = np.sort(curves, axis=0)  # nan comes last
     count = (~np.isnan(curves)).sum(axis=0)
-    below = np.maximum(binom.ppf(TAILS[0], count, 0.5), 1).astype(int) - 1
+    below = np.maximum(fair_binomial_quantile(TAILS[0], count), 1).astype(int) - 1
     point = np.arange(curves.shape[1])
     last = np.maximum(count - 1, 0)
     middle = (ordered[last // 2, point] + ordered[np.minimum(count // 2, last), point]) / 2
@@ -220,7 +219,7 @@ def student_p(values: Float[np.ndarray, "runs"]) -> float:
         return float(values[0] == 0)
     scaled = values / np.abs(values).max()  # squares neither overflow nor vanish
     error = scaled.std(ddof=1) / np.sqrt(len(values))
-    return float(2 * student.sf(abs(scaled.mean()) / error, len(values) - 1))
+    return float(2 * student_tail(abs(scaled.mean()) / error, len(values) - 1))
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -8,11 +8,12 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gpcjax.report import style, words
-from gpcjax.report.curves import FIRST_CORRECTIONS, WINDOW, common_rates, learning_curves, line
+from gpcjax.report import words
+from gpcjax.report.figures import style
+from gpcjax.report.figures.curves import FIRST_CORRECTIONS, WINDOW, common_rates, learning_curves, line
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import mean_band, paired_difference, walking_mean
-from gpcjax.report.style import Drawing
 from gpcjax.reproduce.parts import CIRCLE, ROWS, Ablation, taught_by_gpc
 from gpcjax.reproduce.results import Experiment
 

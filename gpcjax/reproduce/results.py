@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from gpcjax.report.curves import first_rates
+from gpcjax.report.figures.curves import first_rates
 from gpcjax.report.groups import FINAL_EPISODES, Group, Study, gather
 from gpcjax.report.summary import Summary, summarise
 from gpcjax.reproduce.measures import Measure, known, measure, rank_correlations, ratio_of_means, slopes

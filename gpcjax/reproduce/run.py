@@ -7,9 +7,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from gpcjax.report import html, markdown, style
+from gpcjax.report import html, markdown
 from gpcjax.report.document import Picture, Sheet
-from gpcjax.report.style import Drawing
+from gpcjax.report.figures import style
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.tables import result_sheets
 from gpcjax.reproduce import figures, page, records, sketches
 from gpcjax.reproduce.claims import claims

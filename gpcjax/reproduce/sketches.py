@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from gpcjax.report import style
-from gpcjax.report.style import Drawing
+from gpcjax.report.figures import style
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.words import algorithm
 from gpcjax.reproduce.records import Erroneous, Hyperparameters, Plane, Situations, Sparsification
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t as student
 
 from gpcjax.report import words
+from gpcjax.report.distributions import student_tail
 from gpcjax.report.groups import CLOSED_GAP
 from gpcjax.report.statistics import LEVEL, Interval, holm, mean_interval
 from gpcjax.reproduce.measures import Measure
@@ -207,7 +207,7 @@ def p_value(values: Float[np.ndarray, " runs"], claimed: Claimed) -> float:
         distance = sign * (mean - line)
         if np.isinf(line) or error == 0:
             return 0.0 if distance > 0 else 1.0
-        return float(student.sf(distance / error, len(values) - 1))
+        return student_tail(distance / error, len(values) - 1)
 
     holds = max(beyond(claimed.lower, 1), beyond(claimed.upper, -1))
     refuted = min(beyond(claimed.lower, -1), beyond(claimed.upper, 1))

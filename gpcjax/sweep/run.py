@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import platform
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -87,8 +88,11 @@ def run(
     keeping: Keeping | None = None,
     checkpoint: float = OPTIONS["checkpoint"].default,
     watcher: Callable[..., Watcher] | None = None,
-) -> None:
+    meanwhile: Callable[[], None] = lambda: None,
+) -> bool:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
+
+    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy.
 
     A folder that holds less than `spec` asks for `grows`, or is refused. Of each run that is kept what `keeping` says;
     runs that are under way are saved every `checkpoint` seconds, and go on from there after a kill.
@@ -119,7 +123,11 @@ def run(
                 agree=agree,
                 places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
-            _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher).run()
+            sweep = _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher)
+            threading.Thread(target=meanwhile, daemon=True).start()
+            sweep.run()
+            return True
+        return False
 
 
 def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:

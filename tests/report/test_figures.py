@@ -9,7 +9,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
-from gpcjax.report import curves, grids, style, words
+from gpcjax.report import words
+from gpcjax.report.figures import curves, grids, style
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from tests.report import synthetic

@@ -11,8 +11,8 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
-from gpcjax.report import curves, style
 from gpcjax.report import run as run_module
+from gpcjax.report.figures import curves, style
 from gpcjax.report.run import draw, draw_frames
 from gpcjax.sweep import runfolder
 from gpcjax.sweep.reading import read_episodes

@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from gpcjax.report import bootstrap, content, curves, grids, html, strips, summary, tables
+from gpcjax.report import bootstrap, content, html, summary, tables
+from gpcjax.report.figures import curves, grids, strips
 from gpcjax.report.groups import Group, Limits, Point, Stop, gather
 from gpcjax.report.statistics import (
     MANY_RUNS,

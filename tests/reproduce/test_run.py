@@ -11,7 +11,7 @@ import pytest
 
 from gpcjax import cli
 from gpcjax.errors import Failure, UserError
-from gpcjax.report import style
+from gpcjax.report.figures import style
 from gpcjax.reproduce import records
 from gpcjax.reproduce import run as reproduce_module
 from gpcjax.reproduce.parts import PARTS, chosen

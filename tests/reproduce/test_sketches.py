@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from gpcjax.report import style
+from gpcjax.report.figures import style
 from gpcjax.reproduce import records, sketches
 
 RNG = np.random.default_rng(0)

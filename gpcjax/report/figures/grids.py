@@ -15,10 +15,11 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gpcjax.report import style, words
-from gpcjax.report.curves import CUT, MOST_PANELS, left_out
+from gpcjax.report import words
+from gpcjax.report.figures import style
+from gpcjax.report.figures.curves import CUT, MOST_PANELS, left_out
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.groups import Group, unique
-from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Row, Summary
 
 COLOURS = "cividis"

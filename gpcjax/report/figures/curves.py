@@ -13,10 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from gpcjax.report import strips, style, words
+from gpcjax.report import words
+from gpcjax.report.figures import strips, style
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.groups import FINAL_EPISODES, Baseline, Group, Study, unique
 from gpcjax.report.statistics import Band, mean_band, median_band, walking_mean
-from gpcjax.report.style import Drawing
 from gpcjax.report.summary import Summary
 from gpcjax.sweep.chosen import Chosen
 

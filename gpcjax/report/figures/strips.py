@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from gpcjax.report import style
+from gpcjax.report.figures import style
 from gpcjax.report.groups import Group, Study
 
 STRIP = 0.08

@@ -12,13 +12,14 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from gpcjax.report import style, words
+from gpcjax.report import words
 from gpcjax.report.compare_match import Folder
 from gpcjax.report.compare_numbers import STATISTICS, Difference, Profile
 from gpcjax.report.compare_page import ALWAYS, setting_shown, settings_shown
-from gpcjax.report.curves import line
+from gpcjax.report.figures import style
+from gpcjax.report.figures.curves import line
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.groups import unique
-from gpcjax.report.style import Drawing
 
 if TYPE_CHECKING:
     from gpcjax.report.compare import Comparison

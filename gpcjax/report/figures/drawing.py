@@ -1,0 +1,45 @@
+"""From what was counted to the files of a report: the slow part of it, with all that it imports."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from gpcjax.errors import UserError
+from gpcjax.report import content, html
+from gpcjax.report.drawn import Mark
+from gpcjax.report.figures import curves, grids, style
+from gpcjax.report.summary import Summary
+from gpcjax.sweep.atomic import write_atomic
+
+_MEND = "make room and give the right to write, or report on a copy"
+
+
+def write(out: Path, summary: Summary, corrections: pd.DataFrame, mark: Mark | None = None) -> Summary:
+    """Draws the figures of a summary and writes its files into `out`; the page, which carries the mark, comes last.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    drawings = {
+        "curves": curves.learning_curves(summary),
+        "rates": curves.learning_rates(summary, corrections),
+        "heatmap": grids.final_returns(summary),
+    }
+    files = {
+        "summary.csv": summary.table().to_csv(index=False),
+        "differences.csv": summary.difference_table().to_csv(index=False),
+    }
+    pictures = []
+    for name, drawing in drawings.items():
+        if drawing is not None:
+            files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
+            pictures.append(style.pictured(drawing))
+    page = content.document(summary, pictures)
+    files["report.html"] = html.render(page, "" if mark is None else mark.of(files))
+    for name, written in files.items():
+        try:
+            write_atomic(out / name, written)
+        except OSError as error:
+            raise UserError(f"{out / name}: cannot be written ({error.strerror}), {_MEND}") from None
+    return replace(summary, files=tuple(out / name for name in files))
