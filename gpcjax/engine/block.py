@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.engine.host import HostLoop
+from gpcjax.engine.identity import Keeper, Unknown, digest
 from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
 from gpcjax.engine.rollout import Loop
 
@@ -69,15 +70,25 @@ class Counters:
 
 
 class Block:
-    """The lanes of one tier, and the programs that move them; what it does is counted in `counters`."""
+    """The lanes of one tier, and the programs that move them; what it does is counted in `counters`.
 
-    def __init__(self, tier: Tier, loop: Loop | HostLoop, template: Start, counters: Counters):
+    Programs are looked for in `kept` before they are traced, and go there.
+    """
+
+    def __init__(
+        self,
+        tier: Tier,
+        loop: Loop | HostLoop,
+        template: Start,
+        counters: Counters,
+        kept: Keeper | None = None,
+    ):
         self.tier = tier
         self.runs: dict[int, Occupant] = {}
         """The run in each occupied place."""
         self.waiting: deque[tuple[Occupant, Lane]] = deque()
         """Lanes of the smaller tier that need this one, and lanes of this tier that go on from a snapshot."""
-        self._counters, self._loop, self._template = counters, loop, template
+        self._counters, self._loop, self._template, self._kept = counters, loop, template, kept
         self._leaves: list[Any] = []
         self._structure: Any = None
         self._programs: dict[str, Callable[..., tuple[Any, ...]]] = {}
@@ -180,13 +191,13 @@ class Block:
         if places:
             phases = np.array(self.lanes.phase)
             phases[places] = phase
-            self.lanes = dataclasses.replace(self.lanes, phase=jnp.asarray(phases))
+            self.lanes = dataclasses.replace(self.lanes, phase=jax.device_put(phases))
 
     def _work_done(self) -> tuple[int, int]:
         """Steps and episodes of the lanes in the block."""
         block = self.lanes
         occupied, episode = list(self.runs), np.asarray(block.episode)
-        unwritten = np.where(episode < self._loop.episodes, np.asarray(block.env.time), 0)
+        unwritten = np.where(episode < np.asarray(block.episodes), np.asarray(block.env.time), 0)
         steps = np.asarray(block.rows.length).sum(0) + unwritten
         return int(steps[occupied].sum()), int(episode[occupied].sum())
 
@@ -221,32 +232,61 @@ class Block:
         self.runs.update(zip(free, runs, strict=False))
 
     def _call(self, program: str, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple:
-        """Runs a program on the block, which it replaces; gives what else it returns. Compiles it first."""
+        """Runs a program on the block, which it replaces; gives the arrays that it returns besides."""
+        given = jax.tree.leaves(arguments)
         if program not in self._programs:
-            structure = self._structure
-
-            def flat(leaves: list[Any], *arguments: Any) -> tuple[list[Any], tuple[Any, ...]]:
-                block, *others = function(structure.unflatten(leaves), *arguments)
-                return jax.tree.leaves(block), tuple(others)
-
             began = time.perf_counter()
-            self._programs[program] = (
-                jax.jit(flat, donate_argnums=0).lower(self._leaves, *arguments).compile()
-            )
+            self._programs[program] = self._compiled(program, function, arguments, given)
             self._counters.compile_seconds += time.perf_counter() - began
-            self._counters.compilations += 1
-        self._leaves, others = self._programs[program](self._leaves, *arguments)
-        return others
+        self._leaves, others = self._programs[program](self._leaves, given)
+        return tuple(others)
+
+    def _compiled(
+        self,
+        program: str,
+        function: Callable[..., tuple[Any, ...]],
+        arguments: tuple[Any, ...],
+        given: list[Any],
+    ) -> Callable[..., tuple[list[Any], list[Any]]]:
+        """A program of the leaves of the block and those of its arguments: one that was kept, or compiled now."""
+        structure, form, others = self._structure, jax.tree.structure(arguments), 0
+
+        def flat(leaves: list[Any], given: list[Any]) -> tuple[list[Any], list[Any]]:
+            nonlocal others
+            block, *besides = function(structure.unflatten(leaves), *form.unflatten(given))
+            others = len(besides)
+            return jax.tree.leaves(block), besides
+
+        key = None if self._kept is None else self._digest(program, arguments)
+        if self._kept is not None and key is not None and (found := self._kept.find(key)) is not None:
+            return found
+        lowered = jax.jit(flat, donate_argnums=0).lower(self._leaves, given)
+        compiled = lowered.compile()
+        self._counters.compilations += 1
+        if self._kept is not None and key is not None and "callback" not in lowered.as_text():
+            self._kept.keep(key, compiled, len(self._leaves), len(given), others)
+        return compiled
+
+    def _digest(self, program: str, arguments: tuple[Any, ...]) -> str | None:
+        """All that a program of this block depends on; None where it is somebody else's code."""
+        template = self._template.learner, self._template.teacher, self._template.credit
+        try:
+            compiled_in = (program, self.tier, type(self._loop), self._loop.compiled_in)
+            return digest(compiled_in, (template, arguments))
+        except Unknown:
+            return None
 
     def _empty(self) -> Lane:
         """A block without runs: every place holds a copy of one idle lane."""
 
         def zeros(leaf: jax.ShapeDtypeStruct, axis: int) -> jax.Array:
             shape = (self.tier.lanes, *leaf.shape) if axis == 0 else (*leaf.shape, self.tier.lanes)
-            return jnp.zeros(shape, leaf.dtype)
+            return jax.device_put(np.zeros(shape, leaf.dtype))  # of jnp each shape would be compiled
 
         block = map_lanes(zeros, self.shapes)
-        return dataclasses.replace(block, phase=jnp.full(self.tier.lanes, Phase.EMPTY, jnp.int32))
+        return dataclasses.replace(
+            block, phase=jax.device_put(np.full(self.tier.lanes, Phase.EMPTY, np.int32))
+        )
 
     def _take(self, places: Sequence[int]) -> list[Lane]:
         """Copies of lanes, on the host."""

@@ -21,7 +21,6 @@ from gpcjax.learners.base import Status
 
 def end_episodes(
     block: Lane,
-    episodes: int,
     start: Callable[[Lane, Int[Array, " lanes"]], EnvState],
     keep: Keep | None = None,
 ) -> Lane:
@@ -36,7 +35,7 @@ def end_episodes(
     names = ("env", "tally", "rows", "episode", "phase", "status", "window_start")
     values = lax.cond(
         (over | stopped).any(),
-        lambda: _end(block, over, stopped, episodes, start, keep),
+        lambda: _end(block, over, stopped, start, keep),
         lambda: tuple(getattr(block, name) for name in names),
     )
     return dataclasses.replace(block, **dict(zip(names, values, strict=True)))
@@ -46,7 +45,6 @@ def _end(
     block: Lane,
     over: Bool[Array, " lanes"],
     stopped: Bool[Array, " lanes"],
-    episodes: int,
     start: Callable[[Lane, Int[Array, " lanes"]], EnvState],
     keep: Keep | None,
 ) -> tuple:
@@ -64,7 +62,8 @@ def _end(
         "policy_points": points[0],
         "human_points": points[1],
     }
-    here = (jnp.arange(episodes)[:, None] == block.episode[None]) & ended[None]
+    room = block.rows.returns.shape[0]
+    here = (jnp.arange(room)[:, None] == block.episode[None]) & ended[None]
     written = {
         name: jnp.where(here, value[None].astype(getattr(block.rows, name).dtype), getattr(block.rows, name))
         for name, value in values.items()
@@ -75,8 +74,8 @@ def _end(
     }
     tally = jax.tree.map(lambda value: jnp.where(ended, jnp.zeros_like(value), value), block.tally)
 
-    episode = jnp.where(stopped | broken, episodes, block.episode + over)
-    finished = ended & (episode >= episodes)
+    episode = jnp.where(stopped | broken, block.episodes, block.episode + over)
+    finished = ended & (episode >= block.episodes)
     begins = over & ~finished
     env = jax.tree.map(lambda new, old: jnp.where(begins, new, old), start(block, episode), block.env)
     phase = jnp.where(finished, jnp.int32(Phase.FINISHED), block.phase)

@@ -20,7 +20,7 @@ from gpcjax.engine.correcting import correct, idle_is_due
 from gpcjax.engine.episodes import end_episodes
 from gpcjax.engine.history import Credit
 from gpcjax.engine.keeping import Keep
-from gpcjax.engine.lanes import Lane, Phase, Start, fresh
+from gpcjax.engine.lanes import Lane, Phase, Start, fresh, room_for
 from gpcjax.engine.snapshots import NotResumed
 from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, watch
 from gpcjax.envs.base import State, begin
@@ -123,7 +123,8 @@ class HostLoop(eqx.Module):
     def enter(self, start: Start) -> tuple[Run, tuple[Any, ...]]:
         """The simulation of a run that begins, and what `begin` takes."""
         run = Run(self.env, start.seed, self.episodes)
-        return run, (start.learner, start.teacher, np.int64(start.seed), start.credit, run.obs)
+        numbers = np.int64(start.seed), np.int32(self.episodes)
+        return run, (start.learner, start.teacher, *numbers, start.credit, run.obs)
 
     def executed(self, simulation: Run) -> Float[np.ndarray, "steps action"]:
         """What rebuilds a simulation between two chunks, beside its lane: the actions of its present episode."""
@@ -135,9 +136,17 @@ class HostLoop(eqx.Module):
         run.replay(executed, lane)
         return run
 
-    def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None, obs: Any) -> Lane:
+    @property
+    def compiled_in(self) -> tuple[Any, ...]:
+        """All that the programs of this loop depend on."""
+        return self.env.obs_size, self.expert, room_for(self.episodes), self.grows, self.keep
+
+    def begin(
+        self, learner: Learner, teacher: Teacher, seed: Any, episodes: Any, credit: Credit | None, obs: Any
+    ) -> Lane:
         """A lane at its first episode."""
-        return fresh(begin((), obs), learner, teacher, seed, self.episodes, credit)
+        room = room_for(self.episodes)
+        return fresh(begin((), obs), learner, teacher, seed, episodes, credit, room=room)
 
     def drive(
         self, call: Callable[..., tuple[Any, ...]], runs: Mapping[int, Run], lanes: int, rounds: int
@@ -166,7 +175,6 @@ class HostLoop(eqx.Module):
         block = self._take_in(block, told)
         block = end_episodes(
             block,
-            self.episodes,
             lambda block, _: jax.vmap(_begin, in_axes=-1, out_axes=-1)(told.start),
             self.keep,
         )

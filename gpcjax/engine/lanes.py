@@ -40,8 +40,17 @@ class Phase(enum.IntEnum):
     """An episode has ended, the next one is about to begin, and the host copies what was learned (`Keep`)."""
 
 
+ROWS = 32
+"""Episodes that a run has room for in its rows, at least."""
+
+
+def room_for(episodes: int) -> int:
+    """The rows of runs of so many episodes: a power of two, so that runs of other lengths share programs."""
+    return max(ROWS, 1 << (episodes - 1).bit_length())
+
+
 class EpisodeRows(eqx.Module):
-    """What was measured in each episode, [episodes]."""
+    """What was measured in each episode, [episodes]; while a run is in a block there may be room for more of them."""
 
     returns: Float[Array, "episodes *lanes"]
     length: Int[Array, "episodes *lanes"]
@@ -96,6 +105,8 @@ class Lane(eqx.Module):
     seed: Int[Array, "*lanes"]
     episode: Int[Array, "*lanes"]
     """Index of the current episode, from 0."""
+    episodes: Int[Array, "*lanes"]
+    """How many this run has."""
     phase: Int[Array, "*lanes"]
     status: Int[Array, "*lanes"]
     window_start: Int[Array, "*lanes"]
@@ -175,14 +186,20 @@ def fresh(
     learner: Learner,
     teacher: Teacher,
     seed: Int[Array, ""],
-    episodes: int,
+    episodes: int | Int[Array, ""],
     credit: Credit | None = None,
+    *,
+    room: int | None = None,
 ) -> Lane:
-    """A lane at the start `env` of its first episode, its learner idle."""
+    """A lane at the start `env` of its first episode, its learner idle.
+
+    `room` is for how many rows there is place: the episodes if they are known when this is traced, more if they aren't.
+    """
     depth = max(teacher.reach, 0 if credit is None else credit.reach)
     zero = jnp.zeros((), jnp.int32)
     state = learner.init(streams.first_key(seed))
-    rows = jnp.zeros(episodes, jnp.int32)
+    numbers = jnp.zeros(episodes if room is None else room)
+    rows = numbers.astype(jnp.int32)
     return Lane(
         learner=learner,
         state=state,
@@ -191,6 +208,7 @@ def fresh(
         env=env,
         seed=seed,
         episode=zero,
+        episodes=jnp.asarray(episodes, jnp.int32),
         phase=jnp.asarray(Phase.RUNNING, jnp.int32),
         status=zero,
         window_start=jnp.asarray(-WINDOW, jnp.int32),  # void: the first round draws one
@@ -199,17 +217,17 @@ def fresh(
         action=jnp.zeros(learner.action_size),
         tally=empty_tally(),
         rows=EpisodeRows(
-            returns=jnp.zeros(episodes),
+            returns=numbers,
             length=rows,
             corrections=rows,
-            rate_sum=jnp.zeros(episodes),
+            rate_sum=numbers,
             policy_points=rows,
             human_points=rows,
             clipped=rows,
             full=rows,
             asked=rows,
-            chance_sum=jnp.zeros(episodes),
-            own=dict.fromkeys(jax.eval_shape(lambda: learner.measure(state)), jnp.zeros(episodes)),
+            chance_sum=numbers,
+            own=dict.fromkeys(jax.eval_shape(lambda: learner.measure(state)), numbers),
         ),
         log=CorrectionLog(
             count=zero,

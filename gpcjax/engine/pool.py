@@ -13,11 +13,13 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from gpcjax.engine.asking import Expert
 from gpcjax.engine.block import Block, Counters, Occupant, Tier
 from gpcjax.engine.host import HostLoop
+from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Lane, Phase, Start
 from gpcjax.engine.rollout import Loop
@@ -95,6 +97,7 @@ class Pool:
         template: a start whose structure all others share.
         tiers: capacities and widths, growing; the last one leaves a full dictionary to the learner's `on_full`.
         keep: after which episodes `run` hands out what was learned; the rows of a run are the same without.
+        kept: where compiled programs are looked for, and go. In processes that all compute alike.
     """
 
     def __init__(
@@ -105,6 +108,7 @@ class Pool:
         template: Start,
         tiers: Sequence[Tier],
         keep: Keep | None = None,
+        kept: Keeper | None = None,
     ):
         self.counters = Counters()
         self._keep = keep
@@ -114,7 +118,9 @@ class Pool:
                 return HostLoop(env, expert, episodes, grows, keep)
             return Loop(env, expert, episodes, grows, keep=keep)
 
-        self._blocks = [Block(tier, loop(tier is not tiers[-1]), template, self.counters) for tier in tiers]
+        self._blocks = [
+            Block(tier, loop(tier is not tiers[-1]), template, self.counters, kept) for tier in tiers
+        ]
 
     def run(
         self,
@@ -151,12 +157,13 @@ class Pool:
                 continue
             block.advance()
             for run, lane in block.paused():
-                keep(Kept(run.name, int(lane.episode), lane))
+                keep(Kept(run.name, int(lane.episode), _without_room(lane)))
             for run, lane in block.leaving():
                 if lane.phase == Phase.NEEDS_ROOM:
                     self.counters.promotions += 1
                     blocks[index + 1].waiting.append((run, lane))
                     continue
+                lane = _without_room(lane)
                 if self._keeps_last(lane):
                     keep(Kept(run.name, int(lane.episode), lane))
                 deliver(Finished(run.name, lane))
@@ -223,3 +230,9 @@ class Pool:
         returns = jnp.asarray(lane.rows.returns)[:, None]
         last = returns.shape[0] - 1
         return bool(self._keep.due(returns[last], returns, jnp.full(1, last, jnp.int32))[0])
+
+
+def _without_room(lane: Lane) -> Lane:
+    """A lane on the host with the rows of its own episodes."""
+    rows = jax.tree.map(lambda column: column[: int(lane.episodes)], lane.rows)
+    return dataclasses.replace(lane, rows=rows)

@@ -26,7 +26,7 @@ from gpcjax.engine.correcting import correct, idle_is_due
 from gpcjax.engine.episodes import end_episodes
 from gpcjax.engine.history import Credit
 from gpcjax.engine.keeping import Keep
-from gpcjax.engine.lanes import WINDOW, Lane, Phase, Start, Tally, coin_window, fresh
+from gpcjax.engine.lanes import WINDOW, Lane, Phase, Start, Tally, coin_window, fresh, room_for
 from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, seen, watch
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.learners.base import Learner, Status
@@ -39,7 +39,7 @@ class Loop(eqx.Module):
     Fields:
         env: the task.
         expert: what the teacher would do, obs (obs_size,) -> action (action_size,).
-        episodes: of every lane. Static.
+        episodes: of every lane. Nothing that is compiled depends on it, but for their `room`.
         grows: lanes without room leave the block. Static.
         stride: steps between two looks at the waiting lanes, less than `WINDOW`. Static.
         keep: after which episodes lanes wait for the host; None is never. Static.
@@ -54,7 +54,8 @@ class Loop(eqx.Module):
 
     def enter(self, start: Start) -> tuple[None, tuple[Any, ...]]:
         """Nothing on the host, and what `begin` takes."""
-        return None, (start.learner, start.teacher, np.int64(start.seed), start.credit)
+        numbers = np.int64(start.seed), np.int32(self.episodes)
+        return None, (start.learner, start.teacher, *numbers, start.credit)
 
     def executed(self, simulation: None) -> None:
         """Nothing: a lane of a compiled task is all there is of it."""
@@ -62,10 +63,17 @@ class Loop(eqx.Module):
     def rebuild(self, lane: Lane, executed: None) -> None:
         """Nothing is on the host."""
 
-    def begin(self, learner: Learner, teacher: Teacher, seed: Any, credit: Credit | None = None) -> Lane:
+    @property
+    def compiled_in(self) -> tuple[Any, ...]:
+        """All that the programs of this loop depend on."""
+        return self.env, self.expert, room_for(self.episodes), self.grows, self.stride, self.keep
+
+    def begin(
+        self, learner: Learner, teacher: Teacher, seed: Any, episodes: Any, credit: Credit | None = None
+    ) -> Lane:
         """A lane at its first episode."""
         start = started(self.env, streams.start_key(seed, 0))
-        return fresh(start, learner, teacher, seed, self.episodes, credit)
+        return fresh(start, learner, teacher, seed, episodes, credit, room=room_for(self.episodes))
 
     def drive(
         self, call: Callable[..., tuple[Any, ...]], runs: Mapping[int, None], lanes: int, rounds: int
@@ -93,7 +101,7 @@ class Loop(eqx.Module):
         block, advice = ask(block, self.expert, self.grows)
         block = correct(block, advice)
         block = self._execute(block)
-        return end_episodes(block, self.episodes, self._begin, self.keep)
+        return end_episodes(block, self._begin, self.keep)
 
     def _draw_coins(self, block: Lane) -> Lane:
         """Moves every window to its lane's present step, if any lane may otherwise run past its own."""

@@ -37,7 +37,8 @@ def start_key(seed: Scalar, episode: Scalar) -> PRNGKeyArray:
 
 def reset_seeds(seed: int, episodes: int) -> list[int]:
     """For `Simulation.reset` at the start of each episode: the first words of their start keys."""
-    return np.asarray(_first_words(seed, episodes)).tolist()
+    more = 1 << (episodes - 1).bit_length()  # few programs for all numbers of episodes
+    return np.asarray(_first_words(seed, more))[:episodes].tolist()
 
 
 def coins(seed: Scalar, episode: Scalar, step: Scalar, action_size: int) -> Float[Array, " action"]:

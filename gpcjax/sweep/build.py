@@ -13,6 +13,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
 from gpcjax.engine.history import Credit
+from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
@@ -87,8 +88,11 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     return make(**options)
 
 
-def make_pool(cell: Cell, keeping: Keeping | None = None) -> Pool:
-    """A pool for all cells of the program of `cell`, which hands out what is to be kept of their runs on the way."""
+def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | None = None) -> Pool:
+    """A pool for all cells of the program of `cell`, which hands out what is to be kept of their runs on the way.
+
+    What it compiles it looks for in `programs`, where that is kept.
+    """
     program = program_of(cell)
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
@@ -98,6 +102,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None) -> Pool:
         template=start_of(cell),
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
+        kept=programs,
     )
 
 

@@ -141,6 +141,12 @@ def cache_folder() -> Path | None:
     return Path(root) / "gpcjax" / f"xla-{_processor_hash()}" if os.path.isabs(root) else None
 
 
+def programs_folder() -> Path | None:
+    """Where whole programs are kept, of this processor alone: beside what XLA keeps of them."""
+    folder = cache_folder()
+    return None if folder is None else folder / f"programs-{_processor_hash()}"
+
+
 @functools.lru_cache
 def _reason_against(folder: Path | None) -> str:
     """Why nothing can be kept in this folder, found out by a file in it for a moment; empty if something can."""

@@ -19,7 +19,8 @@ from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.sweep.build import make_pool
-from gpcjax.sweep.environment import refuse_another_environment
+from gpcjax.sweep.environment import programs_folder, refuse_another_environment
+from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors.base import Message, Orders, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.plan import Cell
@@ -58,6 +59,8 @@ class _Worker:
         self._done = Totals()
         self._reported = 0.0
         self._compiled = 0
+        folder = programs_folder()
+        self._programs = None if folder is None else Executables(folder)
 
     def run(self) -> None:
         """Until the desk says stop."""
@@ -72,7 +75,7 @@ class _Worker:
                     return
 
     def _teach(self, first: Cell, orders: Orders) -> None:
-        pool = make_pool(first, orders.keeping)
+        pool = make_pool(first, orders.keeping, self._programs)
         runs = Runs(pool, orders, self._say)
         self._compiled = 0
 

@@ -119,11 +119,11 @@ def test_evaluate_says_it(policy):
 def test_the_teaching_loop_says_it():
     given = learner("coach"), oracle()
     with pytest.raises(UserError, match=r"^Odd\.reset: obs is "):
-        jax.eval_shape(lambda: Loop(Odd(after_reset={"obs": flat}), expert, 2).begin(*given, jnp.int64(0)))
+        jax.eval_shape(lambda: Loop(Odd(after_reset={"obs": flat}), expert, 2).begin(*given, jnp.int64(0), 2))
 
     def taught():
         loop = Loop(Odd(after_step={"reward": flat}), expert, 2)
-        lane = loop.begin(*given, jnp.int64(0))
+        lane = loop.begin(*given, jnp.int64(0), 2)
         after, _ = loop._act(lanes(lane.env), lanes(lane.tally), jnp.zeros((2, 1)), jnp.ones(1, bool))
         return after
 
