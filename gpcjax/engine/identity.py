@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FunctionType, MethodType
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -27,9 +27,13 @@ KNOWN = frozenset(
 )
 """Packages whose classes and functions are what their version says."""
 
+CHECKING = frozenset({"jaxtyping", "beartype"})
+"""What wraps a function in checks of its types, and computes nothing else."""
+
 BUILT_ON = ("jax", "jaxlib", "equinox", "numpy", "jaxtyping")
 
 
+@runtime_checkable
 class Keeper(Protocol):
     """Where compiled programs are kept from one process to the next, by their digests."""
 
@@ -125,9 +129,11 @@ def _all(things: Iterable[Any], values: bool, inside: tuple[int, ...]) -> Iterat
 
 
 def _array(array: Any, values: bool) -> Iterator[str]:
+    if array.dtype == object:
+        raise Unknown("an array of objects")
     yield f"array {array.dtype} {array.shape} {getattr(array, 'weak_type', False)}"
     if values:
-        if isinstance(array, jax.ShapeDtypeStruct | Tracer) or array.dtype == object:
+        if isinstance(array, jax.ShapeDtypeStruct | Tracer):
             raise Unknown("an array without values")
         if isinstance(array, jax.Array) and jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
             array = jax.random.key_data(array)
@@ -136,8 +142,15 @@ def _array(array: Any, values: bool) -> Iterator[str]:
 
 def _function(function: FunctionType, inside: tuple[int, ...]) -> Iterator[str]:
     """Where it is written, and what it has taken from there."""
-    place = _name_of(function)
-    yield f"function {place} {function.__code__.co_firstlineno} {function.__code__.co_code.hex()}"
+    # A wrapper bears the name of what it wraps; whose code it is, its globals tell.
+    package = str(function.__globals__.get("__name__")).partition(".")[0]
+    if package in CHECKING and hasattr(function, "__wrapped__"):
+        yield from _lines(function.__wrapped__, True, inside)
+        return
+    if package not in KNOWN:
+        raise Unknown(f"{function.__qualname__} of {package}, which is not of {OURS}")
+    code = function.__code__
+    yield f"function {_name_of(function)} {code.co_firstlineno} {code.co_code.hex()}"
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     yield from _all([cells, function.__defaults__, function.__kwdefaults__], True, inside)
 

@@ -1,0 +1,126 @@
+"""Programs that are kept whole: the same bits without compiling, and nothing but what this user wrote is executed."""
+
+import os
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gpcjax import make_env, make_expert, make_learner, make_oracle
+from gpcjax.engine.lanes import Start
+from gpcjax.engine.pool import Finished, Pool
+from gpcjax.sweep import executables
+from gpcjax.sweep.build import WIDE
+from gpcjax.sweep.executables import SUFFIX, Executables
+
+KEY = "0" * 32
+
+
+def compiled():
+    def flat(leaves, given):
+        return [leaves[0] + given[0], leaves[1] * 2], [given[0] * 3]
+
+    leaves, given = [jnp.arange(3.0), jnp.ones(2)], [np.float64(4.0)]
+    return jax.jit(flat, donate_argnums=0).lower(leaves, given).compile()
+
+
+def result(program):
+    leaves, others = program([jnp.arange(3.0), jnp.ones(2)], [np.float64(4.0)])
+    return [leaf.tolist() for leaf in (*leaves, *others)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    kept = Executables(tmp_path / "programs")
+    kept.keep(KEY, compiled(), 2, 1, 1)
+    return tmp_path / "programs"
+
+
+def test_what_was_kept_computes_the_same(folder):
+    found = Executables(folder).find(KEY)
+    assert found is not None
+    assert result(found) == result(compiled()) == [[4.0, 5.0, 6.0], [2.0, 2.0], 12.0]
+    assert Executables(folder).find("1" * 32) is None
+
+
+def test_only_the_user_can_write_there(folder):
+    path = folder / f"{KEY}{SUFFIX}"
+    assert [folder.stat().st_mode & 0o777, path.stat().st_mode & 0o777] == [0o700, 0o600]
+    for spoiled in (path, folder):
+        for mode in (0o620, 0o602, 0o722):
+            spoiled.chmod(mode | 0o100)
+            assert Executables(folder).find(KEY) is None
+        spoiled.chmod(0o700)
+    assert Executables(folder).find(KEY) is not None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+def test_what_another_user_wrote_is_not_executed(folder):
+    os.chown(folder / f"{KEY}{SUFFIX}", 12345, -1)
+    assert Executables(folder).find(KEY) is None
+
+
+def test_what_is_not_whole_is_compiled_anew(folder):
+    path = folder / f"{KEY}{SUFFIX}"
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+    for spoiled in (b"", whole[:10], whole[:-1], whole + b"x", flipped, b"x" * len(whole)):
+        path.write_bytes(spoiled)
+        assert Executables(folder).find(KEY) is None
+    Executables(folder).keep(KEY, compiled(), 2, 1, 1)
+    assert Executables(folder).find(KEY) is not None
+
+
+def test_where_nothing_can_be_kept_nothing_is_said(tmp_path, capfd):
+    (tmp_path / "file").write_text("")
+    kept = Executables(tmp_path / "file")
+    kept.keep(KEY, compiled(), 2, 1, 1)
+    assert kept.find(KEY) is None
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_was_not_used_for_longest_goes(folder, monkeypatch):
+    size = (folder / f"{KEY}{SUFFIX}").stat().st_size
+    monkeypatch.setattr(executables, "MOST_BYTES", 2 * size + 10)
+    kept = Executables(folder)
+    kept.keep("1" * 32, compiled(), 2, 1, 1)
+    for age, name in ((20, KEY), (10, "1" * 32)):
+        path = folder / f"{name}{SUFFIX}"
+        os.utime(path, (path.stat().st_mtime - age,) * 2)
+    kept.find(KEY)  # used: the other one is older now
+    kept.keep("2" * 32, compiled(), 2, 1, 1)
+    assert [kept.find(name) is not None for name in (KEY, "1" * 32, "2" * 32)] == [True, False, True]
+
+
+def coach(episodes, kept=None):
+    learner = make_learner("coach", "cartpole")
+    start = Start(
+        0, *jax.tree.map(np.asarray, (learner, make_oracle("cartpole", "lqr", rate=0.2).oracle)), seed=3
+    )
+    pool = Pool(make_env("cartpole"), make_expert("cartpole", "lqr"), episodes, start, (WIDE,), kept=kept)
+    return pool, start
+
+
+def finish(pool, start):
+    waiting, finished = iter([start]), list[Finished]()
+    pool.run(lambda: next(waiting, None), finished.append)
+    return finished[0].lane
+
+
+def test_a_pool_compiles_nothing_that_was_kept_and_comes_to_the_same_bits(tmp_path):
+    """For any number of episodes that there is room for."""
+    pool, start = coach(2, Executables(tmp_path))
+    lane = finish(pool, start)
+    assert pool.counters.compilations == 2
+    again, start = coach(2, Executables(tmp_path))
+    for one, other in zip(*map(jax.tree.leaves, (finish(again, start), lane)), strict=True):
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+    longer, start = coach(5, Executables(tmp_path))
+    more = finish(longer, start)
+    assert [again.counters.compilations, longer.counters.compilations] == [0, 0]
+    assert more.rows.length.shape == (5,) and (more.rows.length > 0).all()
+    for name, column in vars(lane.rows).items():
+        if name != "own":
+            assert np.asarray(column).tobytes() == np.asarray(getattr(more.rows, name))[:2].tobytes()
