@@ -260,12 +260,12 @@ class Block:
         key = None if self._kept is None else self._digest(program, arguments)
         if self._kept is not None and key is not None and (found := self._kept.find(key)) is not None:
             return found
-        lowered = jax.jit(flat, donate_argnums=0).lower(self._leaves, given)
-        compiled = lowered.compile()
+        # With unused arguments: the same text must mean the same use of the same ones.
+        lowered = jax.jit(flat, donate_argnums=0, keep_unused=True).lower(self._leaves, given)
         self._counters.compilations += 1
-        if self._kept is not None and key is not None and "callback" not in lowered.as_text():
-            self._kept.keep(key, compiled, len(self._leaves), len(given), others)
-        return compiled
+        if self._kept is None or key is None:
+            return lowered.compile()
+        return self._kept.compiled(key, lowered, len(self._leaves), len(given), others)
 
     def _digest(self, program: str, arguments: tuple[Any, ...]) -> str | None:
         """All that a program of this block depends on; None where it is somebody else's code."""

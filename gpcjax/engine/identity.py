@@ -41,8 +41,11 @@ class Keeper(Protocol):
         """The program of this digest, ready to be called; None if there is none."""
         ...
 
-    def keep(self, key: str, compiled: Any, leaves: int, given: int, others: int) -> None:
-        """Keeps a program of two lists, of so many leaves and arguments, that gives two, of the leaves and others."""
+    def compiled(self, key: str, lowered: Any, leaves: int, given: int, others: int) -> Callable[..., Any]:
+        """Compiles and keeps a program of lists of so many leaves and arguments; it gives lists of leaves and others.
+
+        Another source may have lowered to the same text: then that program is found once more.
+        """
         ...
 
 
@@ -144,8 +147,9 @@ def _function(function: FunctionType, inside: tuple[int, ...]) -> Iterator[str]:
     """Where it is written, and what it has taken from there."""
     # A wrapper bears the name of what it wraps; whose code it is, its globals tell.
     package = str(function.__globals__.get("__name__")).partition(".")[0]
-    if package in CHECKING and hasattr(function, "__wrapped__"):
-        yield from _lines(function.__wrapped__, True, inside)
+    wrapped = getattr(function, "__wrapped__", None)
+    if package in CHECKING and wrapped is not None:
+        yield from _lines(wrapped, True, inside)
         return
     if package not in KNOWN:
         raise Unknown(f"{function.__qualname__} of {package}, which is not of {OURS}")

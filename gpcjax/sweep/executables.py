@@ -1,29 +1,37 @@
 """Programs kept whole between processes: read as machine code, they are neither traced nor lowered nor compiled.
 
 XLA's own cache saves compiling alone: to look a program up there, it has to be traced and lowered. Here it is known by
-what goes into it (`gpcjax.engine.identity`). What is read is executed, and jax keeps it pickled: so a folder is used
-only if nobody but its owner, who is this user, can write there; and a file only if it is all that was written.
+what goes into it (`gpcjax.engine.identity`), and for another source, which may come to the same, by its lowered text.
+
+    KEY.key         the digest of what goes into a program: holds the digest of its text
+    TEXT.program    a program, after the checksum of it
+
+What is read is executed, and jax keeps it pickled: so a folder is used only if nobody but its owner, who is this user,
+can write there; and a file only if it is all that was written.
 """
 
 import contextlib
 import hashlib
 import os
+import re
 import stat
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 from jax.experimental import serialize_executable
+from jax.experimental.compilation_cache import compilation_cache
 
 from gpcjax.sweep.atomic import write_atomic
 
-SUFFIX = ".program"
 MOST_BYTES = 1 << 29
 """Of all kept programs; those that were not used for longest go."""
 
 Compiled = Callable[..., Any]
+_TEXT = re.compile(r"[0-9a-f]{32}")
 
 
 class Executables:
@@ -39,16 +47,52 @@ class Executables:
 
     def find(self, key: str) -> Compiled | None:
         """The program of this digest, ready to be called; None if there is none that can be used here."""
-        path = self._path(key)
-        if not self._usable or not _ours(path):
+        path = self._key(key)
+        try:
+            text = path.read_text() if self._usable and _ours(path) else ""
+            if text:
+                os.utime(path)
+        except (OSError, ValueError):
+            return None
+        return self._read(text) if _TEXT.fullmatch(text) else None
+
+    def compiled(self, key: str, lowered: Any, leaves: int, given: int, others: int) -> Compiled:
+        """Compiles and keeps a program of lists of so many leaves and arguments; it gives lists of leaves and others.
+
+        Another source may have lowered to the same text: then that program is found once more.
+        """
+        words = lowered.as_text() if self._usable else "callback"
+        if "callback" in words:  # a function of this process has a part in it
+            return lowered.compile()
+        counts = leaves, given, others
+        text = hashlib.sha256(f"{jax.__version__} {counts} {words}".encode()).hexdigest()[:32]
+        found = self._read(text)
+        if found is None:
+            with _compiling_anew():
+                found = lowered.compile()
+            self._write(text, found, *counts)
+        with contextlib.suppress(OSError):
+            write_atomic(self._key(key), text)
+            self._key(key).chmod(0o600)
+        return found
+
+    def _key(self, key: str) -> Path:
+        return self._folder / f"{key}.key"
+
+    def _program(self, text: str) -> Path:
+        return self._folder / f"{text}.program"
+
+    def _read(self, text: str) -> Compiled | None:
+        path = self._program(text)
+        if not _ours(path):
             return None
         try:
             data = path.read_bytes()
-            sum_, content = data[:32], data[32:]
-            if hashlib.sha256(content).digest() != sum_:
+            checksum, content = data[:32], data[32:]
+            if hashlib.sha256(content).digest() != checksum:
                 return None
             program, leaves, given, others = _opened(zlib.decompress(content))
-            arguments = jax.tree.structure(((([0] * leaves), [0] * given), {}))
+            arguments = jax.tree.structure((([0] * leaves, [0] * given), {}))
             result = jax.tree.structure(([0] * leaves, [0] * others))
             found = serialize_executable.deserialize_and_load(program, arguments, result)
             os.utime(path)
@@ -56,30 +100,39 @@ class Executables:
         except Exception:  # whatever is wrong with it: it is compiled anew, and replaces this one
             return None
 
-    def keep(self, key: str, compiled: Any, leaves: int, given: int, others: int) -> None:
-        """Keeps a program of two lists, of so many leaves and arguments, that gives two, of the leaves and others."""
-        if not self._usable:
-            return
+    def _write(self, text: str, compiled: Any, *counts: int) -> None:
+        path = self._program(text)
         with contextlib.suppress(
             Exception
         ):  # of another jax, on a full disk: the next process compiles it again
             program, _, _ = serialize_executable.serialize(compiled)
-            content = zlib.compress(_closed(program, leaves, given, others), 1)
-            write_atomic(self._path(key), hashlib.sha256(content).digest() + content)
-            self._path(key).chmod(0o600)
+            content = zlib.compress(_closed(program, *counts), 1)
+            write_atomic(path, hashlib.sha256(content).digest() + content)
+            path.chmod(0o600)
             self._prune()
 
-    def _path(self, key: str) -> Path:
-        return self._folder / f"{key}{SUFFIX}"
-
     def _prune(self) -> None:
-        kept = [(entry.stat(), entry) for entry in os.scandir(self._folder) if entry.name.endswith(SUFFIX)]
+        kept = [(entry.stat(), entry.path) for entry in os.scandir(self._folder)]
         total = sum(told.st_size for told, _ in kept)
-        for told, entry in sorted(kept, key=lambda each: each[0].st_mtime):
+        for told, path in sorted(kept, key=lambda each: each[0].st_mtime):
             if total <= MOST_BYTES:
                 return
-            os.unlink(entry.path)
+            os.unlink(path)
             total -= told.st_size
+
+
+@contextmanager
+def _compiling_anew() -> Iterator[None]:
+    """Nothing comes from XLA's cache: a program from there can be run, but not be kept once more."""
+    name = "jax_enable_compilation_cache"
+    before = getattr(jax.config, name)
+    jax.config.update(name, False)
+    compilation_cache.reset_cache()  # it remembers whether it is used
+    try:
+        yield
+    finally:
+        jax.config.update(name, before)
+        compilation_cache.reset_cache()
 
 
 def _closed(program: bytes, *counts: int) -> bytes:

@@ -9,13 +9,19 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, TextIO, cast
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gpcjax.sweep.estimate import Work, is_seen, seconds_left
+from gpcjax.sweep.growing import table
+from gpcjax.sweep.sofar import SoFar
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""
+
+ROOM = 7
+"""Lines of a terminal that are not for groups: head and foot of the table, the bar, and the command above."""
 
 
 @dataclass
@@ -28,6 +34,8 @@ class State:
     works: Sequence[Work] = ()
     compiling: bool = False
     """Whether a worker has been compiling for a while."""
+    sofar: SoFar | None = None
+    """What the runs that are finished have come to."""
 
 
 class Watcher(Protocol):
@@ -121,6 +129,7 @@ class Bar:
     works: Sequence[Work] = ()
     """All programs, before anything is done."""
     _bar: Progress | None = None
+    _live: Live | None = None
     _state: State = field(default_factory=State)
     _began: float = 0.0
     _line: float = 0.0
@@ -130,6 +139,7 @@ class Bar:
         self.stream = stream
         self._began = self._line = self.clock()
         if stream.isatty():
+            console = Console(file=cast(TextIO, _Patient(stream)))
             self._bar = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(),
@@ -137,12 +147,12 @@ class Bar:
                 TextColumn("{task.fields[speed]}"),
                 TimeElapsedColumn(),
                 TextColumn("{task.fields[left]}"),
-                console=Console(file=cast(TextIO, _Patient(stream))),
-                refresh_per_second=4,
+                console=console,
             )
             cells, speed, left = self._fields()
             self._task = self._bar.add_task(self.name, total=1.0, cells=cells, speed=speed, left=left)
-            self._bar.start()
+            self._live = Live(console=console, get_renderable=self._shown, refresh_per_second=4)
+            self._live.start()
         else:
             where = f"{self.jobs} {'process' if self.jobs == 1 else 'processes'}"
             self._print(f"{self.name}: {self.cells} cells in {where}{self._expected()}")
@@ -151,8 +161,11 @@ class Bar:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        if self._live is not None:
+            self._state.sofar = (
+                None  # what is left on the screen is the bar: the report has a table of its own
+            )
+            self._live.stop()
         else:
             took = _clock_time(self.clock() - self._began)
             self._print(f"{self.name}: {self._state.finished}/{self.cells} cells in {took}, {self._speed()}")
@@ -167,6 +180,14 @@ class Bar:
             self._line = self.clock()
             parts = (f"{state.finished}/{self.cells} cells", self._speed(), self._left())
             self._print(f"{self.name}: {', '.join(part for part in parts if part)}")
+
+    def _shown(self) -> RenderableType:
+        """The table so far above the bar, as tall as the terminal allows."""
+        assert self._bar is not None
+        sofar, console = self._state.sofar, self._bar.console
+        if sofar is None or sofar.range is None:
+            return self._bar
+        return Group(table(sofar, max(console.height - ROOM, 1), console.encoding), self._bar)
 
     def _expected(self) -> str:
         """How long it may take, for the first line; said where the programs have run here before."""

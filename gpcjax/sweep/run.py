@@ -27,6 +27,7 @@ from gpcjax.sweep.progress import Bar, State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
+from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
 
@@ -209,6 +210,7 @@ class _Sweep:
         self._rows: list[CellRows] = []
         self._totals = Totals()
         self._finished, self._executor = 0, executor
+        self._sofar = SoFar(missing, manifest["varying"])
         self._desk = Desk(
             missing,
             baselines=self._missing_baselines(),
@@ -253,6 +255,7 @@ class _Sweep:
     def _collect(self, rows: CellRows) -> None:
         self._rows.append(rows)
         self._finished += 1
+        self._sofar.add(rows)
         if time.monotonic() - self._flushed > FLUSH_SECONDS:
             self._flush()
 
@@ -272,7 +275,7 @@ class _Sweep:
 
     def _show(self, totals: Totals) -> None:
         self._totals = totals
-        self._bar.show(State(self._finished, totals.env_steps, totals.works, totals.compiling))
+        self._bar.show(State(self._finished, totals.env_steps, totals.works, totals.compiling, self._sofar))
 
     def _save(self, complete: bool) -> None:
         now = {

@@ -1,6 +1,8 @@
 """Programs that are kept whole: the same bits without compiling, and nothing but what this user wrote is executed."""
 
 import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -12,17 +14,26 @@ from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Finished, Pool
 from gpcjax.sweep import executables
 from gpcjax.sweep.build import WIDE
-from gpcjax.sweep.executables import SUFFIX, Executables
+from gpcjax.sweep.executables import Executables
 
 KEY = "0" * 32
 
 
-def compiled():
+def lowered(factor=2):
     def flat(leaves, given):
-        return [leaves[0] + given[0], leaves[1] * 2], [given[0] * 3]
+        return [leaves[0] + given[0], leaves[1] * factor], [given[0] * 3]
 
     leaves, given = [jnp.arange(3.0), jnp.ones(2)], [np.float64(4.0)]
-    return jax.jit(flat, donate_argnums=0).lower(leaves, given).compile()
+    return jax.jit(flat, donate_argnums=0, keep_unused=True).lower(leaves, given)
+
+
+def keep(folder, key=KEY, factor=2):
+    return Executables(folder).compiled(key, lowered(factor), 2, 1, 1)
+
+
+def program(folder):
+    (path,) = folder.glob("*.program")
+    return path
 
 
 def result(program):
@@ -32,22 +43,21 @@ def result(program):
 
 @pytest.fixture
 def folder(tmp_path):
-    kept = Executables(tmp_path / "programs")
-    kept.keep(KEY, compiled(), 2, 1, 1)
+    keep(tmp_path / "programs")
     return tmp_path / "programs"
 
 
 def test_what_was_kept_computes_the_same(folder):
     found = Executables(folder).find(KEY)
     assert found is not None
-    assert result(found) == result(compiled()) == [[4.0, 5.0, 6.0], [2.0, 2.0], 12.0]
+    assert result(found) == result(lowered().compile()) == [[4.0, 5.0, 6.0], [2.0, 2.0], 12.0]
     assert Executables(folder).find("1" * 32) is None
 
 
 def test_only_the_user_can_write_there(folder):
-    path = folder / f"{KEY}{SUFFIX}"
+    path = program(folder)
     assert [folder.stat().st_mode & 0o777, path.stat().st_mode & 0o777] == [0o700, 0o600]
-    for spoiled in (path, folder):
+    for spoiled in (path, folder / f"{KEY}.key", folder):
         for mode in (0o620, 0o602, 0o722):
             spoiled.chmod(mode | 0o100)
             assert Executables(folder).find(KEY) is None
@@ -57,41 +67,71 @@ def test_only_the_user_can_write_there(folder):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
 def test_what_another_user_wrote_is_not_executed(folder):
-    os.chown(folder / f"{KEY}{SUFFIX}", 12345, -1)
+    os.chown(program(folder), 12345, -1)
     assert Executables(folder).find(KEY) is None
 
 
 def test_what_is_not_whole_is_compiled_anew(folder):
-    path = folder / f"{KEY}{SUFFIX}"
+    path = program(folder)
     whole = path.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
     for spoiled in (b"", whole[:10], whole[:-1], whole + b"x", flipped, b"x" * len(whole)):
         path.write_bytes(spoiled)
         assert Executables(folder).find(KEY) is None
-    Executables(folder).keep(KEY, compiled(), 2, 1, 1)
+    keep(folder)
     assert Executables(folder).find(KEY) is not None
 
 
 def test_where_nothing_can_be_kept_nothing_is_said(tmp_path, capfd):
     (tmp_path / "file").write_text("")
-    kept = Executables(tmp_path / "file")
-    kept.keep(KEY, compiled(), 2, 1, 1)
-    assert kept.find(KEY) is None
+    assert result(keep(tmp_path / "file"))[1] == [2.0, 2.0]
+    assert Executables(tmp_path / "file").find(KEY) is None
     assert capfd.readouterr() == ("", "")
 
 
 def test_what_was_not_used_for_longest_goes(folder, monkeypatch):
-    size = (folder / f"{KEY}{SUFFIX}").stat().st_size
-    monkeypatch.setattr(executables, "MOST_BYTES", 2 * size + 10)
-    kept = Executables(folder)
-    kept.keep("1" * 32, compiled(), 2, 1, 1)
-    for age, name in ((20, KEY), (10, "1" * 32)):
-        path = folder / f"{name}{SUFFIX}"
-        os.utime(path, (path.stat().st_mtime - age,) * 2)
-    kept.find(KEY)  # used: the other one is older now
-    kept.keep("2" * 32, compiled(), 2, 1, 1)
-    assert [kept.find(name) is not None for name in (KEY, "1" * 32, "2" * 32)] == [True, False, True]
+    size = sum(path.stat().st_size for path in folder.iterdir())
+    monkeypatch.setattr(executables, "MOST_BYTES", 2 * size + 50)
+    keep(folder, "1" * 32, factor=3)
+    for path in folder.iterdir():
+        os.utime(path, (path.stat().st_mtime - 20,) * 2)
+    Executables(folder).find(KEY)  # used: the other one is older now
+    keep(folder, "2" * 32, factor=4)
+    found = [Executables(folder).find(name) for name in (KEY, "1" * 32, "2" * 32)]
+    assert [each is not None for each in found] == [True, False, True]
+
+
+def test_another_source_of_the_same_text_compiles_nothing(folder, monkeypatch):
+    monkeypatch.setattr(executables, "_compiling_anew", None)  # which would be called
+    assert result(keep(folder, "1" * 32)) == result(lowered().compile())
+    assert Executables(folder).find("1" * 32) is not None
+    assert len(list(folder.glob("*.program"))) == 1
+
+
+def test_what_xla_has_in_its_cache_is_kept_all_the_same(tmp_path):
+    """A program from there can be run, but what is written of it cannot: in a process that never compiled it."""
+    script = (
+        "import sys, jax; from pathlib import Path; from tests.sweep.test_executables import *\n"
+        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
+        "jax.config.update('jax_persistent_cache_min_entry_size_bytes', -1)\n"
+        "lowered().compile()\n"
+        "found = Executables(Path(sys.argv[1])).find(KEY)\n"
+        "print(result(found or keep(Path(sys.argv[1]))), found is not None)\n"
+    )
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "xla"), "PYTHONPATH": os.getcwd()}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path / f"programs{number}")],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for number in (0, 1, 1)
+    ]
+    assert list((tmp_path / "xla").iterdir())
+    assert said == [f"[[4.0, 5.0, 6.0], [2.0, 2.0], 12.0] {found}\n" for found in (False, False, True)]
 
 
 def coach(episodes, kept=None):
