@@ -194,6 +194,10 @@ def _sweep(arguments: argparse.Namespace) -> int:
     check_learners(running.keeping, spec.algo, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
+    if spec.start is not None:
+        from gpcjax.sweep.sources import check_start  # which reads run folders
+
+        check_start(spec, given["start"].source)
     if arguments.dry_run:
         print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
         return 0

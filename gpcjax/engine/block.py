@@ -80,7 +80,7 @@ class Block:
         self._counters, self._loop, self._template = counters, loop, template
         self._leaves: list[Any] = []
         self._structure: Any = None
-        self._programs: dict[str, Callable[..., tuple[Any, ...]]] = {}
+        self._programs: dict[str, Callable[..., Any]] = {}
         self._rounds = 16
 
     @property
@@ -165,6 +165,22 @@ class Block:
         """
         return Occupant(name, self._loop.rebuild(lane, executed)), lane
 
+    def has_shapes_of(self, state: Any) -> bool:
+        """Whether a lane here may hold this state."""
+        given, wanted = jax.tree.leaves(state), jax.tree.leaves(self.shapes.state)
+        return [np.shape(leaf) for leaf in given] == [leaf.shape for leaf in wanted]
+
+    def taught(self, start: Start) -> tuple[Occupant, Lane]:
+        """A run that begins with a state of these shapes, as `waiting` takes it."""
+
+        def begin(entry: tuple[Any, ...], state: Any) -> Lane:
+            lane = self._loop.begin(*entry)
+            return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
+
+        simulation, entry = self._loop.enter(start)
+        lane = self._compiled("taught", begin, entry, start.state)(entry, start.state)
+        return Occupant(start.name, simulation), jax.tree.map(np.asarray, lane)
+
     @functools.cached_property
     def shapes(self) -> Lane:
         """The shape of one lane."""
@@ -222,21 +238,26 @@ class Block:
 
     def _call(self, program: str, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple:
         """Runs a program on the block, which it replaces; gives what else it returns. Compiles it first."""
+        structure = self._structure
+
+        def flat(leaves: list[Any], *arguments: Any) -> tuple[list[Any], tuple[Any, ...]]:
+            block, *others = function(structure.unflatten(leaves), *arguments)
+            return jax.tree.leaves(block), tuple(others)
+
+        compiled = self._compiled(program, flat, self._leaves, *arguments, donated=0)
+        self._leaves, others = compiled(self._leaves, *arguments)
+        return others
+
+    def _compiled(
+        self, program: str, function: Callable[..., Any], *arguments: Any, donated: int | None = None
+    ) -> Callable[..., Any]:
+        """The program of this name, compiled for these arguments when it is asked for first."""
         if program not in self._programs:
-            structure = self._structure
-
-            def flat(leaves: list[Any], *arguments: Any) -> tuple[list[Any], tuple[Any, ...]]:
-                block, *others = function(structure.unflatten(leaves), *arguments)
-                return jax.tree.leaves(block), tuple(others)
-
             began = time.perf_counter()
-            self._programs[program] = (
-                jax.jit(flat, donate_argnums=0).lower(self._leaves, *arguments).compile()
-            )
+            self._programs[program] = jax.jit(function, donate_argnums=donated).lower(*arguments).compile()
             self._counters.compile_seconds += time.perf_counter() - began
             self._counters.compilations += 1
-        self._leaves, others = self._programs[program](self._leaves, *arguments)
-        return others
+        return self._programs[program]
 
     def _empty(self) -> Lane:
         """A block without runs: every place holds a copy of one idle lane."""

@@ -36,9 +36,18 @@ _OF_THE_EXPERIMENT = ("rate", "error", "delta")
 
 
 def start_of(cell: Cell) -> Start:
-    """The lane of a cell: its numbers, on the host."""
-    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0))
-    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
+    """The lane of a cell: its numbers, and what it begins with, on the host.
+
+    Raises:
+        UserError: what it is to begin with is gone, has changed, or cannot be carried over.
+    """
+    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0, start=None))
+    state = None
+    if cell.start is not None:
+        from gpcjax.sweep.started import state_of  # which reads run folders
+
+        state = state_of(cell, learner, [tier.capacities for tier in _tiers(program_of(cell))])
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit, state=state)
 
 
 def learner_of(cell: Cell, capacity: int) -> Learner:
@@ -95,7 +104,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None) -> Pool:
         env=make_env(program.env),
         expert=make_expert(program.env, program.oracle),
         episodes=program.episodes,
-        template=start_of(cell),
+        template=start_of(dataclasses.replace(cell, start=None)),
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
     )

@@ -131,6 +131,13 @@ EXPERIMENT = (
         series=True,
         otherwise="rate",
     ),
+    Option(
+        "start",
+        str,
+        Anything("the path of a run folder with kept states, or of a saved learner"),
+        "runs begin with what was learned there",
+        otherwise="with nothing",
+    ),
 )
 VARIANTS = (
     Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True),

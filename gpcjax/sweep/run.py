@@ -56,7 +56,8 @@ def sweep(
         keep: "policies" or "states" (from which teaching goes on) of each run, for `load_policies` and `load_states`.
         keep_at: after which episode: "last", "best", or n for every n-th.
         checkpoint: seconds after which runs that are under way are saved, 0 for never.
-        **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
+        **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters;
+            `start`, a run folder with kept states or a saved learner, with which the runs begin.
 
     Raises:
         UserError: a setting that is not allowed, or a folder that is another sweep's or that another process is
@@ -73,9 +74,17 @@ def sweep(
     check_learners(keeping, spec.algo)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     check_sweep(folder, spec)
+    _check_start(spec)
     make_writable(folder)
     run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds)
     return folder
+
+
+def _check_start(spec: SweepSpec) -> None:
+    if spec.start is not None:
+        from gpcjax.sweep.sources import check_start  # which reads run folders
+
+        check_start(spec)
 
 
 def run(
