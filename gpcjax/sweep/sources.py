@@ -151,7 +151,8 @@ def contents_of(folder: Path, place: str) -> Contents:
 
 def _of_runs(folder: Path, place: str) -> Contents:
     frame = read_kept(folder)
-    frame = frame[frame["kind"] == "state"] if len(frame) else frame
+    if len(frame):
+        frame = frame.loc[frame["kind"] == "state"]
     if frame.empty:
         taught = ", give OUT/saves/NAME of it" if (folder / "course.json").exists() else ""
         raise UserError(
@@ -160,7 +161,7 @@ def _of_runs(folder: Path, place: str) -> Contents:
     beside = ("env", "algo", "seed", "episode", "return", "kind", "card", "arrays", *_TOLD_OF_RUN)
     names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in frame.columns if name not in beside)]
     # Ordered by episode within a run: the last row of each is its newest.
-    newest = frame.drop_duplicates(names, keep="last")
+    newest = frame.groupby(names, sort=False, dropna=False).tail(1)
     states, sums = [], []
     columns = [newest[name].tolist() for name in (*names, "episode", "card", "arrays")]
     for *values, episode, card, arrays in zip(*columns, strict=True):
