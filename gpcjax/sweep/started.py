@@ -10,7 +10,7 @@ from gpcjax.learners.carried import carried, points_of
 from gpcjax.learners.packed import unpack_learner
 from gpcjax.learners.saved import load_learner
 from gpcjax.sweep import sources
-from gpcjax.sweep.keeping import unpacked
+from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.source import Source
 

@@ -14,6 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.checkpoints import cell_as_json, cell_of
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.growth import contradictions
+from gpcjax.sweep.layout import CHECKPOINTS
 from gpcjax.sweep.listing import commands
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import hash_of, plan, program_of
@@ -22,6 +23,7 @@ from gpcjax.sweep.run import sweep
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.sources import Contents, State, check_start
 from gpcjax.sweep.spec import as_dict, from_dict, spec_of
+from tests.sweep.test_underway import assert_same, killed_under_way
 
 SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
 SOURCE = Source("/somewhere/x", "0123456789ab")
@@ -136,6 +138,18 @@ def test_a_saved_learner_is_where_every_run_begins(source, tmp_path):
         UserError, match="learned with 4 numbers of an observation and 1 actions, pendulum has 3"
     ):
         check_start(spec_of(env="pendulum", algo="coach", seeds=1, start=tmp_path / "saved"))
+
+
+@pytest.mark.slow
+def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path):
+    settings = SETTINGS | {"episodes": 12, "keep": "states", "start": str(source)}
+    reference = sweep(tmp_path / "reference", executor=InProcess(), checkpoint=0, **settings)
+    out = killed_under_way(tmp_path, settings)
+    assert list((out / CHECKPOINTS).iterdir()) and not list((out / "episodes").iterdir())
+    before = read_manifest(out)["env_steps"]
+    sweep(out, executor=InProcess(), checkpoint=0, **settings)
+    assert_same(out, reference)
+    assert 0 < read_manifest(out)["env_steps"] - before < read_episodes(out)["length"].sum()
 
 
 def test_mistakes_are_a_line(source, tmp_path, capsys, monkeypatch):
