@@ -165,6 +165,10 @@ def _run(words: Sequence[str]) -> int:
             return _reproduce(arguments)
         case "teach":
             return _teach_by_hand(arguments)
+        case "play":
+            from gpcjax.play.command import play
+
+            return play(arguments)
         case "replay":
             from gpcjax.teach.run import replay
 

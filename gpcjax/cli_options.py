@@ -218,6 +218,41 @@ def _compare() -> Command:
     )
 
 
+def _play() -> Command:
+    flags = (
+        Flag(
+            "--seed",
+            "of the run, and of the starts (default: of the run that returned most; 0)",
+            "SEED",
+            str(SEED),
+        ),
+        Flag(
+            "--where",
+            "which run, by a column of its rows; may be given several times",
+            "COLUMN=VALUE",
+            "COLUMN=VALUE",
+            repeated=True,
+        ),
+        Flag("--env", "the task, in place of the one that the folder names", "ENV", _ENVS),
+        Flag("--episodes", "how many (default 1)", "N", "a number"),
+        Flag("--speed", "times real time (default 1)", "SPEED", "a number"),
+        Flag(
+            "--seconds",
+            "of each episode that are shown (default all of it; 20 in a GIF)",
+            "SECONDS",
+            "a number",
+        ),
+        Flag(
+            "--gif",
+            "the GIF that is written (default: where a window can be opened, none; elsewhere runs/play-NAME.gif)",
+            "FILE",
+            "a path that ends in .gif",
+        ),
+    )
+    text = "run folder with kept policies or states, folder of a saved policy or learner, or ENV:EXPERT"
+    return Command(_TEXTS["play"], (("", flags),), word="OUT", word_text=text, needed=True)
+
+
 SEED = Numbers(0, 2**31 - 1, whole=True)
 REPEAT = Numbers(1, 50)
 SPEED = Numbers(0.1, 2.0)
@@ -232,6 +267,7 @@ _TEXTS = {
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
+    "play": "show a policy in a window, or as an animated GIF",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
     "runs": "list run folders, and how far they are",
     "show": "say what a run folder holds, and check all of it",
@@ -275,6 +311,7 @@ COMMANDS = {
         ),
     ),
     "teach": _teach(),
+    "play": _play(),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
     "runs": Command(
         _TEXTS["runs"],

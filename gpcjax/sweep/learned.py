@@ -1,8 +1,8 @@
 """What the runs of a folder had learned, as policies and as states to go on teaching with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,11 @@ from gpcjax.policies.saved import Unfit, unpack_policy
 from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.reading import read_kept
 from gpcjax.sweep.runfolder import check_report
+
+Kind = Literal["policy", "state"]
+"""What of a run is wanted."""
+
+_PACKED = ("kind", "card", "arrays")
 
 
 def load_policies(out: Any, /, **where: Any) -> pd.DataFrame:
@@ -50,42 +55,64 @@ def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
 
 
 def _loaded(
-    out: Any, kind: str, where: dict[str, Any], columns: dict[str, Callable[[Any], Any]]
+    out: Any, kind: Kind, where: dict[str, Any], columns: dict[str, Callable[[Any], Any]]
 ) -> pd.DataFrame:
     folder = checked_path("out", out)
     check_report(folder)
-    frame = read_kept(folder)
-    wanted: pd.DataFrame = frame if kind == "policy" else frame.loc[frame["kind"] == kind]
-    if wanted.empty:
-        what = "states" if kind == "state" else "policies"
-        raise UserError(
-            f"{folder}: no {what} were kept there, give --keep {what} to the sweep that makes them"
-        )
-    names = [name for name in wanted.columns if name not in ("kind", "card", "arrays")]
-    for name, values in where.items():
-        if name not in names:
-            raise UserError(f"{shown(name)} is no column{suggestion(name, names)}: give {', '.join(names)}")
-        several = [values] if isinstance(values, str) or not np.iterable(values) else list(values)
-        wanted = wanted.loc[wanted[name].isin(several)]
-    found = [
-        _row(folder, kind, *entries)
-        for entries in zip(
-            *(wanted[name] for name in ("kind", "card", "arrays", "algo", "seed")), strict=True
-        )
-    ]
+    wanted = kept_rows(folder, kind, where)
+    found = [learned_of(folder, kind, row) for row in wanted.to_dict("records")]
     made = {
         name: pd.Series([make(each) for each in found], wanted.index, object)
         for name, make in columns.items()
     }
+    names = [name for name in wanted.columns if name not in _PACKED]
     return wanted.loc[:, names].assign(**made).reset_index(drop=True)
 
 
-def _row(folder: Path, wanted: str, kind: str, card: str, arrays: bytes, algo: str, seed: int) -> Any:
-    """A policy, or a learner and its state."""
-    source = f"{folder}: what {algo} learned with seed {seed}"
+def kept_rows(folder: Path, kind: Kind, where: Mapping[str, Any]) -> pd.DataFrame:
+    """What was kept in a run folder of the runs that `where` names, as it is kept there: see `learned_of`.
+
+    Args:
+        folder: the run folder.
+        kind: what is wanted; a state is a policy, too.
+        where: columns, and the values that are wanted, one or several.
+
+    Raises:
+        UserError: nothing was kept there, or no column is called so.
+    """
+    frame = read_kept(folder)
+    if len(frame) and kind == "state":
+        frame = frame.loc[frame["kind"] == kind]
+    if frame.empty:
+        what = "states" if kind == "state" else "policies"
+        raise UserError(
+            f"{folder}: no {what} were kept there, give --keep {what} to the sweep that makes them"
+        )
+    names = [name for name in frame.columns if name not in _PACKED]
+    for name, values in where.items():
+        if name not in names:
+            raise UserError(f"{shown(name)} is no column{suggestion(name, names)}: give {', '.join(names)}")
+        several = [values] if isinstance(values, str) or not np.iterable(values) else list(values)
+        frame = frame.loc[frame[name].isin(several)]
+    return frame
+
+
+def newest(kept: pd.DataFrame) -> pd.DataFrame:
+    """Of the rows of `kept_rows`, the last one of each run."""
+    names = [name for name in kept.columns if name not in ("episode", "return", *_PACKED)]
+    return kept.groupby(names, sort=False, dropna=False).tail(1)
+
+
+def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any]) -> Any:
+    """The policy, or the learner and its state, of a row of `kept_rows`.
+
+    Raises:
+        UserError: it is damaged.
+    """
+    source = f"{folder}: what {row['algo']} learned with seed {row['seed']}"
     try:
-        told, named = unpacked(card, arrays)
-        if kind == "policy":
+        told, named = unpacked(row["card"], row["arrays"])
+        if row["kind"] == "policy":
             return unpack_policy(told, named)
         learner, state = unpack_learner(told, named, source)
     except (Unfit, KeyError, TypeError, ValueError) as error:
