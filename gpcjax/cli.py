@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import gpcjax
 from gpcjax import cli_options
-from gpcjax.envs.registry import check_expert, env_names
+from gpcjax.envs.registry import env_names
 from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.streams import leave, make_printable
@@ -23,7 +23,7 @@ from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import notes
 from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
 from gpcjax.sweep.lock import held
-from gpcjax.sweep.options import OPTIONS, Option, parse
+from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
 from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec, read_toml
@@ -164,7 +164,9 @@ def _run(words: Sequence[str]) -> int:
         case "reproduce":
             return _reproduce(arguments)
         case "teach":
-            return _teach_by_hand(arguments)
+            from gpcjax.teach.command import by_hand
+
+            return by_hand(arguments, cli_options.settings(arguments))
         case "play":
             from gpcjax.play.command import play
 
@@ -371,38 +373,6 @@ def _reproduce(arguments: argparse.Namespace) -> int:
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
     return 0
-
-
-def _teach_by_hand(arguments: argparse.Namespace) -> int:
-    from gpcjax.teach.course import Course
-    from gpcjax.teach.lesson import Options
-    from gpcjax.teach.run import teach
-
-    own = {
-        name: parse(Option(name, kind, allowed, ""), text, f"--{name}")
-        for name, kind, allowed in (
-            ("seed", int, cli_options.SEED),
-            ("repeat", float, cli_options.REPEAT),
-            ("speed", float, cli_options.SPEED),
-            ("port", int, cli_options.PORT),
-        )
-        if (text := getattr(arguments, name)) is not None
-    }
-    given = cli_options.settings(arguments)
-    out, oracle = given.pop("out", None), given.pop("oracle", None)
-    folder = Path(os.path.expanduser(out.value)) if out is not None else None
-    origin = getattr(arguments, "from")
-    saved = Path(os.path.expanduser(origin)) if origin is not None else None
-    if saved is not None and not (saved / "card.json").exists():
-        raise UserError(
-            f"--from {saved}: nothing was saved there, give OUT/saves/NAME of a folder of gpcjax teach"
-        )
-    goes_on = not given and folder is not None and "seed" not in own
-    course = None if goes_on else Course.of(given, own.get("seed", 0))
-    options = Options(own.get("repeat", 8.0), own.get("speed", 1.0), oracle.value[0] if oracle else None)
-    if oracle is not None and course is not None:
-        check_expert(course.env, options.oracle, "--oracle")
-    return teach(folder, course, saved, options, arguments.host or "127.0.0.1", own.get("port"))
 
 
 def _note() -> None:

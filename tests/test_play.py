@@ -1,7 +1,5 @@
 """Watching a policy: which one it is, what is drawn of it, and the GIF that is written."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -21,13 +19,10 @@ from gpcjax.play.episodes import Moment, moments
 from gpcjax.play.scenes import LESS, MORE, SCENES
 from gpcjax.play.showing import Frame, watch, write_gif
 from gpcjax.play.stage import DPI, SIZE, Stage
-from gpcjax.policies.saved import pack_controller
 from gpcjax.registry import find
-from gpcjax.sweep.keeping import KeptRow
-from gpcjax.sweep.packing import packed
 from gpcjax.sweep.run import sweep
 from gpcjax.teach.world import World
-from tests.sweep.pretended import Pretended, rows
+from tests.sweep.learned import Learned
 
 OBS = {"cartpole": [0.3, 0.0, 0.05, 0.0], "pendulum": [0.6, 0.8, 0.0], "mountaincar": [-0.2, 0.01]}
 
@@ -46,28 +41,19 @@ def learner_and_state(action):
     return learner, state
 
 
-class Keeping(Pretended):
-    """Hands in runs that kept a policy after their second and third episode, which act by seed and error."""
-
-    def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
-        super()._work([], baselines, on_rows, on_baseline, on_progress)
-        for cell in cells:
-            kept = []
-            for episode in (2, 3):
-                way = 1 if (cell.seed + int(10 * cell.error) + episode) % 2 else -1
-                learner, state = learner_and_state(way)
-                card, arrays = packed(*pack_controller(learner.controller(state)))
-                # The run that returned most is not the one with the largest seed.
-                returns = 100.0 * episode - abs(cell.seed - 1) - cell.error
-                kept.append(KeptRow(episode, returns, "policy", card, arrays))
-            on_rows(dataclasses.replace(rows(cell), kept=tuple(kept)))
+def learned(cell):
+    """After the second and the third episode of a run: it acts by seed and error."""
+    for episode in (2, 3):
+        way = 1 if (cell.seed + int(10 * cell.error) + episode) % 2 else -1
+        # The run that returned most is not the one with the largest seed.
+        yield episode, 100.0 * episode - abs(cell.seed - 1) - cell.error, *learner_and_state(way)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "out"
     settings = {"algo": "coach", "oracle": "lqr", "error": [0, 0.1], "seeds": 3, "episodes": 3}
-    return sweep(out, executor=Keeping()(1), keep="policies", env="cartpole", **settings)
+    return sweep(out, executor=Learned("policies", learned), keep="policies", env="cartpole", **settings)
 
 
 def way(player):
@@ -118,8 +104,11 @@ def test_what_was_saved_is_played(tmp_path):
         (["cartpole:lqr", "--gif", "x.png"], "--gif x.png: give a path that ends in .gif"),
         (["cartpole:lqr", "--speed", "0"], f"--speed 0: give {SPEED}"),
         (["empty"], "empty: no policy is there, give a run folder with kept policies"),
-        (["OUT", "--seed", "7"], "--seed 7: no policy of such a run was kept, give 0, 1, 2"),
-        (["OUT", "--where", "beta=1"], "'beta' is no column of it, give env, algo, oracle, error, seed"),
+        (["OUT", "--seed", "7"], "no run with seed 7 was kept, give 0, 1, 2"),
+        (
+            ["OUT", "--where", "beta=1"],
+            "'beta' is no column of its runs, give env, algo, oracle, error, seed",
+        ),
         (
             ["OUT", "--env", "pendulum"],
             "takes 4 numbers of an observation and gives 1 actions, pendulum has 3 and 1",

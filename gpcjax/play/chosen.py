@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import pandas as pd
 
-from gpcjax.allowed import shown
 from gpcjax.envs.registry import expert_names, make_expert
 from gpcjax.errors import UserError
 from gpcjax.learners.saved import load_learner
 from gpcjax.policies.folder import CARD, read_card
 from gpcjax.policies.saved import load_card, load_policy
 from gpcjax.report.words import algorithm
+from gpcjax.sweep.kept import kept_rows, narrowed, newest
 from gpcjax.sweep.layout import MANIFEST
-from gpcjax.sweep.learned import kept_rows, learned_of, newest
+from gpcjax.sweep.learned import learned_of
 from gpcjax.sweep.manifest import read_manifest
 
 TAUGHT = "policy"
@@ -73,11 +72,8 @@ def _has_runs(folder: Path) -> bool:
 
 
 def _of_runs(folder: Path, env: str | None, seed: int | None, where: Mapping[str, str]) -> Player:
-    kept = kept_rows(folder, "policy", {})
-    chosen = newest(kept)
-    for name, text in {**where, **({} if seed is None else {"seed": str(seed)})}.items():
-        source = f"--seed {text}" if name == "seed" and name not in where else f"--where {name}={text}"
-        chosen = _narrowed(chosen, name, text, f"{folder}: {source}")
+    asked = {**where, **({} if seed is None else {"seed": str(seed)})}
+    chosen = narrowed(newest(kept_rows(folder, "policy", {})), asked, str(folder))
     # Of equals the first, in the order of `load`; what is no number comes last.
     returns = chosen["return"].fillna(-math.inf).to_numpy()
     row = chosen.to_dict("records")[int(returns.argmax())]
@@ -86,26 +82,6 @@ def _of_runs(folder: Path, env: str | None, seed: int | None, where: Mapping[str
     who = f"{algorithm(row['algo'])}, seed {row['seed']}, after episode {row['episode']}{others}"
     sizes = policy.controller.obs_size, policy.controller.action_size
     return Player(env or read_manifest(folder)["specification"]["env"], policy, who, int(row["seed"]), sizes)
-
-
-def _narrowed(rows: pd.DataFrame, name: str, text: str, source: str) -> pd.DataFrame:
-    """The rows that have this value there. Raises UserError if none has."""
-    names = [each for each in rows.columns if each not in ("kind", "card", "arrays", "return", "episode")]
-    if name not in names:
-        raise UserError(f"{source}: {shown(name)} is no column of it, give {', '.join(names)}")
-    column = rows[name]
-    wanted: Any = text
-    if pd.api.types.is_numeric_dtype(column):
-        try:
-            wanted = float(text)
-        except ValueError:
-            wanted = None
-    chosen = rows.loc[column == wanted]
-    if chosen.empty:
-        values = list(dict.fromkeys(map(str, column.tolist())))
-        some = values if len(values) <= 6 else [*values[:4], "...", values[-1]]
-        raise UserError(f"{source}: no policy of such a run was kept, give {', '.join(some)}")
-    return chosen
 
 
 def _saved(path: Path, env: str | None) -> Player:

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from gpcjax.allowed import Anything, Numbers, shown
+from gpcjax.allowed import Anything, Numbers
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.environment import compute_here
-from gpcjax.sweep.options import OPTIONS, Option, parse
+from gpcjax.sweep.options import OPTIONS, Option, conditions, parse
 from gpcjax.teach.course import seconds_of
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def play(arguments: argparse.Namespace) -> int:
         UserError: a mistake of the person's.
     """
     wishes = _wishes(arguments)
-    where = dict(map(_condition, arguments.where))
+    where = conditions(arguments.where)
     env = None if arguments.env is None else parse(OPTIONS["env"], arguments.env, "--env")
     compute_here()
     from gpcjax.play.chosen import player_of
@@ -79,13 +79,6 @@ def _wishes(arguments: argparse.Namespace) -> Wishes:
     return Wishes(
         given.get("seed"), given.get("episodes", 1), given.get("speed", 1.0), given.get("seconds"), gif
     )
-
-
-def _condition(word: str) -> tuple[str, str]:
-    name, equals, text = word.partition("=")
-    if not equals or not name.strip() or not text.strip():
-        raise UserError(f"--where {shown(word)}: give COLUMN=VALUE, such as algo=gpc")
-    return name.strip().replace("-", "_"), text.strip()
 
 
 def _show(player: "Player", wishes: Wishes, word: str) -> int:

@@ -2,23 +2,17 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from gpcjax.allowed import checked_path, shown, suggestion
+from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.learners.packed import unpack_learner
 from gpcjax.policies.saved import Unfit, unpack_policy
+from gpcjax.sweep.kept import PACKED, Kind, kept_rows
 from gpcjax.sweep.packing import unpacked
-from gpcjax.sweep.reading import read_kept
 from gpcjax.sweep.runfolder import check_report
-
-Kind = Literal["policy", "state"]
-"""What of a run is wanted."""
-
-_PACKED = ("kind", "card", "arrays")
 
 
 def load_policies(out: Any, /, **where: Any) -> pd.DataFrame:
@@ -65,42 +59,8 @@ def _loaded(
         name: pd.Series([make(each) for each in found], wanted.index, object)
         for name, make in columns.items()
     }
-    names = [name for name in wanted.columns if name not in _PACKED]
+    names = [name for name in wanted.columns if name not in PACKED]
     return wanted.loc[:, names].assign(**made).reset_index(drop=True)
-
-
-def kept_rows(folder: Path, kind: Kind, where: Mapping[str, Any]) -> pd.DataFrame:
-    """What was kept in a run folder of the runs that `where` names, as it is kept there: see `learned_of`.
-
-    Args:
-        folder: the run folder.
-        kind: what is wanted; a state is a policy, too.
-        where: columns, and the values that are wanted, one or several.
-
-    Raises:
-        UserError: nothing was kept there, or no column is called so.
-    """
-    frame = read_kept(folder)
-    if len(frame) and kind == "state":
-        frame = frame.loc[frame["kind"] == kind]
-    if frame.empty:
-        what = "states" if kind == "state" else "policies"
-        raise UserError(
-            f"{folder}: no {what} were kept there, give --keep {what} to the sweep that makes them"
-        )
-    names = [name for name in frame.columns if name not in _PACKED]
-    for name, values in where.items():
-        if name not in names:
-            raise UserError(f"{shown(name)} is no column{suggestion(name, names)}: give {', '.join(names)}")
-        several = [values] if isinstance(values, str) or not np.iterable(values) else list(values)
-        frame = frame.loc[frame[name].isin(several)]
-    return frame
-
-
-def newest(kept: pd.DataFrame) -> pd.DataFrame:
-    """Of the rows of `kept_rows`, the last one of each run."""
-    names = [name for name in kept.columns if name not in ("episode", "return", *_PACKED)]
-    return kept.groupby(names, sort=False, dropna=False).tail(1)
 
 
 def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any]) -> Any:

@@ -207,6 +207,17 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
 
 
+def conditions(words: Iterable[str]) -> dict[str, str]:
+    """Columns of a run folder and a value of each, from `COLUMN=VALUE`. Raises UserError."""
+    found = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or not name.strip() or not text.strip():
+            raise UserError(f"--where {shown(word)}: give COLUMN=VALUE, such as algo=gpc")
+        found[name.strip().replace("-", "_")] = text.strip()
+    return found
+
+
 def parse(option: Option, text: str, source: str) -> Any:
     """The checked value of a flag's `text`, a comma list where the option takes many."""
     words = [word.strip() for word in text.split(",")] if option.many or option.series else [text]

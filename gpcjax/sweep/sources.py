@@ -14,6 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import CARD, SUMS, read_card
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
+from gpcjax.sweep.kept import newest
 from gpcjax.sweep.layout import MANIFEST, sha256
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.reading import read_kept
@@ -160,10 +161,8 @@ def _of_runs(folder: Path, place: str) -> Contents:
         )
     beside = ("env", "algo", "seed", "episode", "return", "kind", "card", "arrays", *_TOLD_OF_RUN)
     names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in frame.columns if name not in beside)]
-    # Ordered by episode within a run: the last row of each is its newest.
-    newest = frame.groupby(names, sort=False, dropna=False).tail(1)
-    states, sums = [], []
-    columns = [newest[name].tolist() for name in (*names, "episode", "card", "arrays")]
+    states, sums, last = [], [], newest(frame)
+    columns = [last[name].tolist() for name in (*names, "episode", "card", "arrays")]
     for *values, episode, card, arrays in zip(*columns, strict=True):
         own = {name: None if value != value else value for name, value in zip(names, values, strict=True)}
         states.append(State(own, _checked(json.loads(card), folder, place), (card, arrays)))
