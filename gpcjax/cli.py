@@ -21,7 +21,8 @@ from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import notes
-from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
+from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
@@ -197,7 +198,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
     running = Running(jobs, arguments.json, *_kept(given))
-    check_learners(running.keeping, spec.algo, "--keep")
+    check_keeping(running.keeping, spec, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
     if spec.start is not None:

@@ -64,7 +64,7 @@ def carried(
     alike = type(source) is type(learner) and all(
         _same(getattr(source, name), getattr(learner, name)) for name in names
     )
-    if not alike or _forms(state) != _forms(jax.eval_shape(learner.init)):
+    if not alike or _forms(state) != _forms(jax.eval_shape(lambda: learner.init(jax.random.key(0)))):
         names = " and another ".join(("size", *names))
         what = f"of another {names}" if type(source) is type(learner) else "of another kind"
         raise UserError(

@@ -15,7 +15,8 @@ from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
 from gpcjax.sweep.growth import covering, grown
-from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
+from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
@@ -71,7 +72,7 @@ def sweep(
     if executor is not None and jobs != 1:
         raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
     keeping = keeping_of(keep, keep_at)
-    check_learners(keeping, spec.algo)
+    check_keeping(keeping, spec)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     check_sweep(folder, spec)
     _check_start(spec)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.carried import carried
-from gpcjax.learners.saved import load_learner, save_learner
-from gpcjax.sweep.build import learner_of
+from gpcjax.learners.saved import load_learner
+from gpcjax.policies.folder import write_folder
+from gpcjax.sweep.build import learner_of, pack_learned
 from gpcjax.sweep.learned import learned_of
 from gpcjax.teach.course import DICTIONARY, Course
 from gpcjax.teach.origin import Origin
@@ -31,7 +32,9 @@ def put(origin: Origin, start: Path, course: Course) -> None:
         shutil.copytree(origin, start)
         return
     source, state = learned_of(origin.folder, "state", origin.row)
-    learner = learner_of(course.cell(1), DICTIONARY)
+    cell = course.cell(1)
+    learner = learner_of(cell, DICTIONARY)
     state = carried(source, state, learner, (DICTIONARY, DICTIONARY), f"--from {origin.folder}")
-    told = {"run": origin.folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
-    save_learner(start, learner, state, env=course.env, **told)
+    card, arrays = pack_learned(cell, learner, state)
+    run = {"run": origin.folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
+    write_folder(start, {**card, "provenance": {"env": course.env, **run}}, arrays)

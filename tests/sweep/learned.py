@@ -3,8 +3,9 @@
 import dataclasses
 from collections.abc import Callable
 
-from gpcjax.learners.packed import compact, pack_learner
+from gpcjax.learners.packed import compact
 from gpcjax.policies.saved import pack_controller
+from gpcjax.sweep.build import pack_learned
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.packing import packed
 from gpcjax.sweep.plan import Cell
@@ -21,12 +22,12 @@ class Learned(Pretended):
     def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
         super()._work([], baselines, on_rows, on_baseline, on_progress)
         for cell in cells:
-            kept = tuple(self._row(*each) for each in self._learn(cell))
+            kept = tuple(self._row(cell, *each) for each in self._learn(cell))
             on_rows(dataclasses.replace(rows(cell), kept=kept))
 
-    def _row(self, episode, returns, learner, state) -> KeptRow:
+    def _row(self, cell, episode, returns, learner, state) -> KeptRow:
         if self._what == "policies":
             kind, made = "policy", pack_controller(learner.controller(state))
         else:
-            kind, made = "state", pack_learner(learner, compact(learner, state))
+            kind, made = "state", pack_learned(cell, learner, compact(learner, state))
         return KeptRow(episode, returns, kind, *packed(*made))

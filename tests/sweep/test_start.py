@@ -140,6 +140,25 @@ def test_a_saved_learner_is_where_every_run_begins(source, tmp_path):
         check_start(spec_of(env="pendulum", algo="coach", seeds=1, start=tmp_path / "saved"))
 
 
+def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
+    names = {"env": "drifting:Drift", "algo": "drifting:Linear", "oracle": "drifting:expert"}
+    settings = {**names, "seeds": 2, "episodes": 2, "executor": InProcess(), "rate": 0.5}
+    first = sweep(tmp_path / "first", keep="states", step_size=[0.2, 0.5], **settings)
+    frame = gpcjax.load_states(first)
+    assert len(frame) == 4 and (frame["state"].map(lambda state: np.abs(state).max()) > 0).all()
+    assert [float(learner.step_size) for learner in frame["learner"]] == frame["step_size"].tolist()
+    # Nobody teaches: it does what it had learned.
+    silent = settings | {"rate": 0.0, "step_size": 0.5}
+    second = sweep(tmp_path / "second", keep="policies", start=first, **silent)
+    policies = gpcjax.load_policies(second)["policy"]
+    learned = frame.loc[frame["step_size"] == 0.5, "state"]
+    for policy, state in zip(policies, learned, strict=True):
+        np.testing.assert_allclose(
+            policy([0.1, 0.0]), np.clip(np.asarray(state) @ [0.1, 0.0], -1, 1), rtol=1e-12
+        )
+
+
 @pytest.mark.slow
 def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path):
     settings = SETTINGS | {"episodes": 12, "keep": "states", "start": str(source)}

@@ -1,5 +1,7 @@
 """Lessons that begin with what a run of a sweep had learned."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,20 @@ def test_what_means_nothing_to_the_learner_is_refused(folder, tmp_path):
     run = of_run(folder, "gpc", 0, {"error": "0"})
     with pytest.raises(UserError, match=r"--from .*2 numbers of an observation, the task has 3"):
         Taught.begin(tmp_path, Course("pendulum", "gpc"), run)
+
+
+def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
+    names = {"algo": "drifting:Linear", "oracle": "pump", "env": "mountaincar"}
+
+    def learned(cell):
+        yield 3, 1.0, make_learner(cell.algo, cell.env), np.array([[1.0, 2.0]])
+
+    out = sweep(
+        tmp_path / "out", executor=Learned("states", learned), keep="states", **names, seeds=1, episodes=3
+    )
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(
+        tmp_path / "lesson", Course("mountaincar", names["algo"]), of_run(out, None, None, {})
+    )
+    np.testing.assert_allclose(taught.session.act(OBS), OBS @ [1.0, 2.0])
