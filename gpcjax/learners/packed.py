@@ -2,7 +2,8 @@
 
 The card names the algorithm, the sizes and the other settings that are no arrays; from them the shape of everything
 follows, and the arrays must have it. `gpcjax.learners.saved` keeps them in folders, others elsewhere. The policy alone
-is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`.
+is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`. For learners that are not built in see
+`gpcjax.learners.recipes`.
 """
 
 import functools

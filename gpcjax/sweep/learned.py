@@ -40,7 +40,8 @@ def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
     """What learners had learned in a sweep (`--keep states`), a row for each: teaching goes on from there.
 
     As `load_policies`; in the place of `policy` are `learner` and `state`, as `gpcjax.load_learner` gives them. A
-    dictionary has room for as many points again as it holds.
+    dictionary has room for as many points again as it holds. A learner of one's own is made by its module, which must
+    be found.
 
     Raises:
         ValueError: as `load_policies`.
