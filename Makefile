@@ -16,6 +16,7 @@
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
 #:   KEEP      policies or states of each run, for Python, and to go on from (nothing)
+#:   START     runs begin with what was learned there: a run folder with kept states, a saved learner (with nothing)
 #:   CREDIT    seconds between a step and the advice about it, as the learner reckons
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
@@ -37,7 +38,7 @@ GPCJAX := .venv/bin/python -m gpcjax
 
 # Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
 FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teacher ORACLE:oracle DELTA:delta \
-	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep OUT:out JOBS:jobs
+	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep START:start OUT:out JOBS:jobs
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)

@@ -15,16 +15,17 @@ from typing import NamedTuple
 
 import gpcjax
 from gpcjax import cli_options
-from gpcjax.envs.registry import check_expert, env_names
+from gpcjax.envs.registry import env_names
 from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import notes
-from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
+from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
-from gpcjax.sweep.options import OPTIONS, Option, parse
+from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
 from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec, read_toml
@@ -165,7 +166,13 @@ def _run(words: Sequence[str]) -> int:
         case "reproduce":
             return _reproduce(arguments)
         case "teach":
-            return _teach_by_hand(arguments)
+            from gpcjax.teach.command import by_hand
+
+            return by_hand(arguments, cli_options.settings(arguments))
+        case "play":
+            from gpcjax.play.command import play
+
+            return play(arguments)
         case "replay":
             from gpcjax.teach.run import replay
 
@@ -192,9 +199,13 @@ def _sweep(arguments: argparse.Namespace) -> int:
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
     running = Running(jobs, arguments.json, *_kept(given))
-    check_learners(running.keeping, spec.algo, "--keep")
+    check_keeping(running.keeping, spec, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
+    if spec.start is not None:
+        from gpcjax.sweep.sources import check_start  # which reads run folders
+
+        check_start(spec, given["start"].source)
     if arguments.dry_run:
         print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
         return 0
@@ -372,38 +383,6 @@ def _reproduce(arguments: argparse.Namespace) -> int:
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
     return 0
-
-
-def _teach_by_hand(arguments: argparse.Namespace) -> int:
-    from gpcjax.teach.course import Course
-    from gpcjax.teach.lesson import Options
-    from gpcjax.teach.run import teach
-
-    own = {
-        name: parse(Option(name, kind, allowed, ""), text, f"--{name}")
-        for name, kind, allowed in (
-            ("seed", int, cli_options.SEED),
-            ("repeat", float, cli_options.REPEAT),
-            ("speed", float, cli_options.SPEED),
-            ("port", int, cli_options.PORT),
-        )
-        if (text := getattr(arguments, name)) is not None
-    }
-    given = cli_options.settings(arguments)
-    out, oracle = given.pop("out", None), given.pop("oracle", None)
-    folder = Path(os.path.expanduser(out.value)) if out is not None else None
-    origin = getattr(arguments, "from")
-    saved = Path(os.path.expanduser(origin)) if origin is not None else None
-    if saved is not None and not (saved / "card.json").exists():
-        raise UserError(
-            f"--from {saved}: nothing was saved there, give OUT/saves/NAME of a folder of gpcjax teach"
-        )
-    goes_on = not given and folder is not None and "seed" not in own
-    course = None if goes_on else Course.of(given, own.get("seed", 0))
-    options = Options(own.get("repeat", 8.0), own.get("speed", 1.0), oracle.value[0] if oracle else None)
-    if oracle is not None and course is not None:
-        check_expert(course.env, options.oracle, "--oracle")
-    return teach(folder, course, saved, options, arguments.host or "127.0.0.1", own.get("port"))
 
 
 def _note() -> None:

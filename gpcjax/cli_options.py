@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from gpcjax.allowed import Anything, Numbers, shown, suggestion
+from gpcjax.allowed import Anything, shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.reproduce.parts import PARTS, folder
 from gpcjax.sweep.options import (
@@ -24,6 +24,7 @@ from gpcjax.sweep.options import (
     parse,
 )
 from gpcjax.sweep.spec import Given, Unchecked
+from gpcjax.teach.command import PORT, REPEAT, SEED, SPEED
 
 _ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 
@@ -119,6 +120,13 @@ DEFAULTS = {"grid": {"algo": ("gpc",)}}
 
 
 _JSON = Flag("--json", "in lines of JSON, for programs")
+_WHERE = Flag(
+    "--where",
+    "which run of a run folder, by a column of its rows; may be given several times",
+    "COLUMN=VALUE",
+    "COLUMN=VALUE",
+    repeated=True,
+)
 
 
 def _sweep(name: str) -> Command:
@@ -161,7 +169,13 @@ def _teach() -> Command:
         Flag("--repeat", "advices a second while a key is held (default 8)", "REPEAT", str(REPEAT)),
         Flag("--speed", "times real time (default 1)", "SPEED", str(SPEED)),
         replace(flags["oracle"], text=whose),
-        Flag("--from", "a saved state to begin with, OUT/saves/NAME of another folder", "FOLDER", _FOLDER),
+        Flag(
+            "--from",
+            "what to begin with: OUT/saves/NAME of another folder, or a run folder with kept states",
+            "FOLDER",
+            _FOLDER,
+        ),
+        _WHERE,
         replace(
             flags["out"],
             text="folder that keeps it, or has kept it and goes on (default runs/taught-ENV-NUMBER)",
@@ -218,11 +232,34 @@ def _compare() -> Command:
     )
 
 
-SEED = Numbers(0, 2**31 - 1, whole=True)
-REPEAT = Numbers(1, 50)
-SPEED = Numbers(0.1, 2.0)
-PORT = Numbers(0, 65535, whole=True)
-"""Values of the flags of `teach` that are no settings of a sweep."""
+def _play() -> Command:
+    flags = (
+        Flag(
+            "--seed",
+            "of the run, and of the starts (default: of the run that returned most; 0)",
+            "SEED",
+            str(SEED),
+        ),
+        _WHERE,
+        Flag("--env", "the task, in place of the one that the folder names", "ENV", _ENVS),
+        Flag("--episodes", "how many (default 1)", "N", "a number"),
+        Flag("--speed", "times real time (default 1)", "SPEED", "a number"),
+        Flag(
+            "--seconds",
+            "of each episode that are shown (default all of it; 20 in a GIF)",
+            "SECONDS",
+            "a number",
+        ),
+        Flag(
+            "--gif",
+            "the GIF that is written (default: where a window can be opened, none; elsewhere runs/play-NAME.gif)",
+            "FILE",
+            "a path that ends in .gif",
+        ),
+    )
+    text = "run folder with kept policies or states, folder of a saved policy or learner, or ENV:EXPERT"
+    return Command(_TEXTS["play"], (("", flags),), word="OUT", word_text=text, needed=True)
+
 
 _TEXTS = {
     "sweep": "teach every combination of learner, error rate and seed, then report",
@@ -232,6 +269,7 @@ _TEXTS = {
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
+    "play": "show a policy in a window, or as an animated GIF",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
     "runs": "list run folders, and how far they are",
     "show": "say what a run folder holds, and check all of it",
@@ -275,6 +313,7 @@ COMMANDS = {
         ),
     ),
     "teach": _teach(),
+    "play": _play(),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
     "runs": Command(
         _TEXTS["runs"],

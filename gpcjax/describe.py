@@ -222,7 +222,7 @@ Spec = TaskSpec | LearnerSpec | TeacherSpec
 
 OF_EVERY_SWEEP = frozenset(
     "env algo teacher error seeds episodes oracle delta rate rate_schedule sparsify on_full max_capacity out jobs "
-    "rate_from keep keep_at checkpoint time_step credit credit_longest credit_shape".split()
+    "rate_from keep keep_at checkpoint start time_step credit credit_longest credit_shape".split()
 )
 """Names of settings that no learner and no teacher can have for its own."""
 

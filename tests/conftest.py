@@ -84,6 +84,7 @@ COMPILED_PLAINLY = (
     "gp/test_fit.py",
     "gp/test_kernels.py",
     "gp/test_regression.py",
+    "learners/test_carried.py",
     "learners/test_coach.py",
     "learners/test_dcoach.py",
     "learners/test_gpc.py",

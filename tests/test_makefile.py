@@ -16,8 +16,8 @@ from gpcjax.sweep.spec import as_dict, spec_of
 
 ROOT = Path(__file__).parents[1]
 VARIABLES = (
-    "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH CREDIT KEEP OUT JOBS SPEC ARGS".split()
-)
+    "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH CREDIT KEEP START OUT JOBS SPEC ARGS"
+).split()
 RECORDER = """#!{python}
 import json, sys
 with open("called", "a") as file:

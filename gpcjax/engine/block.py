@@ -4,7 +4,8 @@ import dataclasses
 import functools
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -91,7 +92,7 @@ class Block:
         self._counters, self._loop, self._template, self._kept = counters, loop, template, kept
         self._leaves: list[Any] = []
         self._structure: Any = None
-        self._programs: dict[str, Callable[..., tuple[Any, ...]]] = {}
+        self._programs: dict[str, Callable[..., Any]] = {}
         self._rounds = 16
 
     @property
@@ -176,6 +177,26 @@ class Block:
         """
         return Occupant(name, self._loop.rebuild(lane, executed)), lane
 
+    def has_shapes_of(self, state: Any) -> bool:
+        """Whether a lane here may hold this state."""
+        given, wanted = jax.tree.leaves(state), jax.tree.leaves(self.shapes.state)
+        return [np.shape(leaf) for leaf in given] == [leaf.shape for leaf in wanted]
+
+    def taught(self, start: Start) -> tuple[Occupant, Lane]:
+        """A run that begins with a state of these shapes, as `waiting` takes it."""
+
+        def begin(entry: tuple[Any, ...], state: Any) -> Lane:
+            lane = self._loop.begin(*entry)
+            return dataclasses.replace(lane, state=state, controller=lane.learner.controller(state))
+
+        simulation, entry = self._loop.enter(start)
+        if "taught" not in self._programs:
+            with self._compiling():
+                self._programs["taught"] = jax.jit(begin).lower(entry, start.state).compile()
+                self._counters.compilations += 1
+        lane = self._programs["taught"](entry, start.state)
+        return Occupant(start.name, simulation), jax.tree.map(np.asarray, lane)
+
     @functools.cached_property
     def shapes(self) -> Lane:
         """The shape of one lane."""
@@ -235,9 +256,8 @@ class Block:
         """Runs a program on the block, which it replaces; gives the arrays that it returns besides."""
         given = jax.tree.leaves(arguments)
         if program not in self._programs:
-            began = time.perf_counter()
-            self._programs[program] = self._compiled(program, function, arguments, given)
-            self._counters.compile_seconds += time.perf_counter() - began
+            with self._compiling():
+                self._programs[program] = self._compiled(program, function, arguments, given)
         self._leaves, others = self._programs[program](self._leaves, given)
         return tuple(others)
 
@@ -266,6 +286,15 @@ class Block:
         if self._kept is None or key is None:
             return lowered.compile()
         return self._kept.compiled(key, lowered, len(self._leaves), len(given), others)
+
+    @contextmanager
+    def _compiling(self) -> Iterator[None]:
+        """What this takes is no time of runs."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._counters.compile_seconds += time.perf_counter() - began
 
     def _digest(self, program: str, arguments: tuple[Any, ...]) -> str | None:
         """All that a program of this block depends on; None where it is somebody else's code."""

@@ -141,6 +141,8 @@ class Start:
     teacher: Teacher
     seed: int
     credit: Credit | None = None
+    state: PyTree | None = None
+    """What the learner begins with, on the host, of the shapes of one of the pool's tiers; None for nothing learned."""
 
 
 FIRST = ("learner", "state", "log")

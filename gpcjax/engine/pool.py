@@ -5,7 +5,7 @@ host takes out lanes that have finished, gives their places to the next ones, an
 into the block of the next capacity. Widths and capacities are fixed, a lane's tier follows from its own counts, and
 empty places are masked: so the bits of a lane do not depend on what else is run, nor on when the host looks.
 It may copy a lane at the end of an episode (`Keep`), or all of them wherever it looks (`snapshot`), and go on from
-there (`resume`).
+there (`resume`). A run may begin with what was learned elsewhere (`Start.state`): it goes where such lanes go too.
 """
 
 import dataclasses
@@ -149,8 +149,10 @@ class Pool:
                 # Those that go on here wait for no chunk: there are never more of them than free places.
                 starts = list(itertools.islice(iter(next_start, None), block.free))
                 exhausted = len(starts) < block.free
-                block.begin([start for start in starts if isinstance(start, Start)])
+                block.begin([each for each in starts if isinstance(each, Start) and each.state is None])
                 for start in starts:
+                    if isinstance(start, Start) and start.state is not None:
+                        start = self._taught(start)
                     if isinstance(start, Resumed):
                         blocks[start.tier].waiting.append(start.waiting)
             block.admit()
@@ -207,6 +209,13 @@ class Pool:
             NotResumed: there is no such tier.
         """
         return self._blocks[self._tier_of(capacities)].shapes
+
+    def _taught(self, start: Start) -> Resumed:
+        """A run that begins with what was learned before, in the tier whose room its state has."""
+        for tier, block in enumerate(self._blocks):
+            if block.has_shapes_of(start.state):
+                return Resumed(tier, block.taught(start))
+        raise ValueError(f"{start.name}: its state has the shapes of no tier here")
 
     def _tier_of(self, capacities: tuple[int, int]) -> int:
         rooms = [block.tier.capacities for block in self._blocks]

@@ -108,6 +108,13 @@ class Appending(GaussianProcess):
         row = factor.row_of(reading.solved, before, reading.deviation)
         return Appended(index, before, before + 1, point, target, row).only(write)
 
+    def renewed(self, data: Posterior) -> Posterior:
+        """With the inverse of the Cholesky factor as the root: what appending one point after the other comes to."""
+        root = factor.of_points(
+            self.kernel.gram(data.points, data.scale), data.active, self.noise, lower=True
+        )
+        return dataclasses.replace(data, matrix=root, weights=jnp.zeros_like(data.weights))
+
     def grow_matrix(self, matrix: factor.Roots, old: int, capacity: int) -> factor.Roots:
         """The root with more tiles."""
         return factor.grow(matrix, capacity, lower=True)

@@ -30,6 +30,11 @@ def solve(lower: Square, vector: Vector, transpose: bool = False) -> Vector:
     return (_substitute_back if transpose else _substitute)(lower, vector[:, None])[:, 0]
 
 
+def inverse(lower: Square) -> Square:
+    """L^-1."""
+    return _substitute(lower, jnp.eye(lower.shape[0], dtype=lower.dtype))
+
+
 def one_at_a_time(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """`function` of arrays, which under `jax.vmap` computes one lane after the other.
 
@@ -64,10 +69,10 @@ def _substitution(transpose: bool) -> Callable[[Square, Float[Array, "n k"]], Fl
     @single.defjvp
     def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
         (lower, right), (lower_dot, right_dot) = primals, tangents
-        solution, inverse, change = single(lower, right), _inverse(lower), jnp.tril(lower_dot)
+        solution, inverted, change = single(lower, right), inverse(lower), jnp.tril(lower_dot)
         if transpose:
-            inverse, change = inverse.T, change.T
-        return solution, inverse @ (right_dot - change @ solution)
+            inverted, change = inverted.T, change.T
+        return solution, inverted @ (right_dot - change @ solution)
 
     return single
 
@@ -80,10 +85,6 @@ def _(primals: tuple[Square], tangents: tuple[Square]) -> tuple[Square, Square]:
     # Products with the inverse, not substitutions: reverse mode has to turn them round, which it cannot do with a
     # function of its own rule for `vmap`.
     lower = _factorise(*primals)
-    inverse = _inverse(lower)
-    share = jnp.tril(inverse @ tangents[0] @ inverse.T)
+    inverted = inverse(lower)
+    share = jnp.tril(inverted @ tangents[0] @ inverted.T)
     return lower, lower @ (share - 0.5 * jnp.diag(jnp.diag(share)))
-
-
-def _inverse(lower: Square) -> Square:
-    return _substitute(lower, jnp.eye(lower.shape[0], dtype=lower.dtype))

@@ -23,7 +23,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 import gpcjax._x64  # noqa: F401
-from gpcjax.gp import tiles
+from gpcjax.gp import cholesky, tiles
 from gpcjax.gp.tiles import ROWS, Places, Roots, Vector
 
 Square = Float[Array, "n n"]
@@ -39,6 +39,23 @@ def grow(root: Roots, capacity: int, lower: bool = False) -> Roots:
     """The same root with room for `capacity` points, as many as it has or more."""
     room = empty(capacity, lower).shape
     return jnp.pad(root, [(0, new - old) for new, old in zip(room, root.shape, strict=True)])
+
+
+def of_points(gram: Square, active: Bool[Array, " n"], noise: Float[Array, ""], lower: bool = False) -> Roots:
+    """The root of points with this Gram matrix, computed anew in O(n^3): L^-1, where points are `active`."""
+    inverse = cholesky.inverse(cholesky.factor(gram, active, noise))
+    used = jnp.where(active[:, None] & active[None], inverse, 0.0)
+    capacity = gram.shape[0]
+    size, width = tiles.padded(capacity), tiles.width(capacity)
+    square = jnp.pad(used, (0, size - capacity))
+    if not lower:
+        return square
+    panels = []
+    for panel in range(size // ROWS):
+        count = tiles.first_tile(panel + 1, width) - tiles.first_tile(panel, width)
+        rows = square[panel * ROWS : (panel + 1) * ROWS, : count * width]
+        panels.append(jnp.moveaxis(rows.reshape(ROWS, count, width), 1, 0))
+    return jnp.concatenate(panels)
 
 
 def dense(root: Roots, capacity: int, lower: bool = False) -> Square:

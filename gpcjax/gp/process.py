@@ -113,6 +113,13 @@ class GaussianProcess(eqx.Module):
         """
 
     @abc.abstractmethod
+    def renewed(self, data: Posterior) -> Posterior:
+        """The points and targets of one posterior with all that follows from them computed anew, in O(n^3).
+
+        The scale of `data` is w, as `init` takes it; its matrix and its weights do not count, but for their shapes.
+        """
+
+    @abc.abstractmethod
     def grow_matrix(self, matrix: Float[Array, "..."], old: int, capacity: int) -> Float[Array, "..."]:
         """That of a posterior with room for `old` points, for `capacity`: as many or more."""
 

@@ -108,6 +108,10 @@ class Renormalised(GaussianProcess):
         data = dataclasses.replace(before, points=points, targets=targets, count=count)
         return Renewed(self._refactored(data), write)
 
+    def renewed(self, data: Posterior) -> Posterior:
+        """As after every point."""
+        return self._refactored(data)
+
     def grow_matrix(self, matrix: cholesky.Square, old: int, capacity: int) -> Float[Array, "m m"]:
         """The factor with a unit diagonal on the new rows, if there is one."""
         if not self.keeps_weights:

@@ -119,6 +119,13 @@ class Replacing(GaussianProcess):
             weights = others + edit.row * (edit.row * targets).sum()
         return Placed(edit, before.count, count, point, target, weights, write)
 
+    def renewed(self, data: Posterior) -> Posterior:
+        """With the inverse of the Cholesky factor as the root."""
+        root = factor.of_points(self.kernel.gram(data.points, data.scale), data.active, self.noise)
+        inner = factor.dense(root, data.capacity)
+        weights = inner.T @ (inner @ data.targets) if self.keeps_weights else jnp.zeros_like(data.weights)
+        return dataclasses.replace(data, matrix=root, weights=weights)
+
     def grow_matrix(self, matrix: factor.Roots, old: int, capacity: int) -> factor.Roots:
         """The root with more tiles."""
         return factor.grow(matrix, capacity)

@@ -2,7 +2,8 @@
 
 The card names the algorithm, the sizes and the other settings that are no arrays; from them the shape of everything
 follows, and the arrays must have it. `gpcjax.learners.saved` keeps them in folders, others elsewhere. The policy alone
-is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`.
+is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`. For learners that are not built in see
+`gpcjax.learners.recipes`.
 """
 
 import functools
@@ -25,10 +26,13 @@ from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC, GPCState
+from gpcjax.learners.recipes import RECIPE, leaves_of, template_of_own
 from gpcjax.policies.folder import FORMAT, first_line
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
 """The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
+
+_BUILT_IN = (GPC, COACH, DCoach)
 
 
 @under_own_settings
@@ -42,7 +46,7 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
     """
     settings = _settings(checked_learner(learner), state)
     template = _template(settings)
-    given, expected = _leaves((learner, state)), _leaves(template)
+    given, expected = leaves_of((learner, state)), leaves_of(template)
     same = jax.tree.structure((learner, state)) == jax.tree.structure(template)
     if not same or {name: _kind(leaf) for name, leaf in given.items()} != {
         name: _kind(leaf) for name, leaf in expected.items()
@@ -88,6 +92,8 @@ def unpack_learner(
 def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
     """The shape that a card tells of. Raises UserError."""
     try:
+        if RECIPE in card:
+            return template_of_own(card)
         return _template(_checked_settings(card))
     except (UserError, KeyError, TypeError) as error:
         raise UserError(f"{source}: this is not a learner's card ({first_line(error)})") from None
@@ -96,14 +102,19 @@ def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
 def unpacked(
     template: tuple[Learner, State], arrays: Mapping[str, np.ndarray], source: Any
 ) -> tuple[Learner, State]:
-    """These arrays in the structure of `template`, if they have its names, shapes and types. Raises UserError."""
-    expected = _leaves(template)
+    """These arrays in the structure of `template`, if they have its names, shapes and types. Raises UserError.
+
+    Those of a built-in learner must be finite.
+    """
+    expected = leaves_of(template)
     empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
     arrays = empty | dict(arrays)
     odd = next(
         (name for name in expected if name not in arrays or _kind(arrays[name]) != _kind(expected[name])), ""
     )
-    odd = odd or next(iter(arrays.keys() - expected.keys()), "") or _not_finite(arrays)
+    odd = odd or next(iter(arrays.keys() - expected.keys()), "")
+    if not odd and type(template[0]) in _BUILT_IN:
+        odd = _not_finite(arrays)
     if odd:
         raise UserError(f"{source}: this learner is damaged ({odd} is not what the card says)")
     leaves = [jnp.asarray(arrays[name]) for name in expected]
@@ -224,13 +235,6 @@ def _shapes_of_model(process: Any, capacity: int, size: int) -> Posterior:
     """
     numbers = process.unflatten([jnp.zeros(())] * process.num_leaves)
     return jax.eval_shape(lambda: numbers.init(capacity, jnp.ones(size)))
-
-
-def _leaves(tree: Any) -> dict[str, Any]:
-    """Each leaf by its path, such as `state.policy.points`."""
-    paths, _ = jax.tree.flatten_with_path(tree)
-    first = ("learner", "state")
-    return {first[path[0].idx] + jax.tree_util.keystr(path[1:]): leaf for path, leaf in paths}
 
 
 def _kind(leaf: Any) -> tuple[tuple[int, ...], np.dtype]:

@@ -70,6 +70,11 @@ def save_controller(path: Any, controller: Controller, provenance: Mapping[str, 
     write_folder(path, {**card, "provenance": dict(provenance)}, arrays)
 
 
+def has_format(controller: Controller) -> bool:
+    """Whether `pack_controller` takes controllers of this type."""
+    return any(type(controller) is kind.type for kind in KINDS.values())
+
+
 @under_own_settings
 def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What a folder keeps of a controller without lanes, for whoever keeps it elsewhere.

@@ -17,6 +17,7 @@ from gpcjax.sweep import reading
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE
 
 PRESET = "preset"
@@ -28,7 +29,7 @@ OWN = ("oracle", "error", "algo")
 _LENGTHS = ("seeds", "episodes")
 """Of a specification; they say how much was run, and not what."""
 
-_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": []}
+_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": None}
 """What a specification means that does not name them: they came with later versions."""
 
 Value = str | float | bool | tuple[Any, ...] | None
@@ -125,6 +126,8 @@ def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
     specification = {**manifest["specification"]}
     for each, usual in _LATER.items():
         specification.setdefault(each, usual)
+    if specification["start"] is not None:
+        specification["start"] = Source(**specification["start"]).label
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}
     given = specification.pop("hyperparameters", {})
     several = {each for each in ("algo", "error", "oracle", "delta", "rate", *given)}

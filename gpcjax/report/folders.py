@@ -10,6 +10,7 @@ from gpcjax.report.words import algorithm
 from gpcjax.sweep.growth import requests
 from gpcjax.sweep.listing import STRANGE, Contents, RunFolder, commands
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.source import Source
 
 
 def sheet(folders: Iterable[RunFolder], below: Path) -> Sheet:
@@ -37,6 +38,7 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
         "learners": ", ".join(map(algorithm, specification["algo"])),
         "teacher": specification.get("teacher", "oracle"),
         "oracle": ", ".join(specification["oracle"]),
+        **({"start": Source(**specification["start"]).label} if specification.get("start") else {}),
         "error": _listed(specification["error"]),
         "seeds": str(specification["seeds"]),
         "episodes": str(specification["episodes"]),

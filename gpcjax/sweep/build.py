@@ -19,10 +19,12 @@ from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.errors import UserError
-from gpcjax.learners.base import Learner
+from gpcjax.learners.base import Learner, State
 from gpcjax.learners.descriptions import CREDIT
-from gpcjax.learners.factory import make_learner, sizes_of
-from gpcjax.registry import find, resolve
+from gpcjax.learners.factory import sizes_of
+from gpcjax.learners.packed import pack_learner
+from gpcjax.learners.recipes import Recipe, pack_own
+from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
@@ -37,14 +39,23 @@ _OF_THE_EXPERIMENT = ("rate", "error", "delta")
 
 
 def start_of(cell: Cell) -> Start:
-    """The lane of a cell: its numbers, on the host."""
-    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0))
-    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit)
+    """The lane of a cell: its numbers, and what it begins with, on the host.
+
+    Raises:
+        UserError: what it is to begin with is gone, has changed, or cannot be carried over.
+    """
+    learner, teacher, credit = _parts(dataclasses.replace(cell, seed=0, start=None))
+    state = None
+    if cell.start is not None:
+        from gpcjax.sweep.started import state_of  # which reads run folders
+
+        state = state_of(cell, learner, [tier.capacities for tier in _tiers(program_of(cell))])
+    return Start(name=cell, learner=learner, teacher=teacher, seed=cell.seed, credit=credit, state=state)
 
 
 def learner_of(cell: Cell, capacity: int) -> Learner:
     """The learner of a cell, with room for so many points at first."""
-    return _learner(cell, dict(cell.hyperparameters), capacity)
+    return _recipe(cell, dict(cell.hyperparameters), capacity).made()
 
 
 @functools.lru_cache(maxsize=1024)
@@ -53,10 +64,22 @@ def _parts(cell: Cell) -> tuple[Learner, Teacher, Credit | None]:
     values = dict(cell.hyperparameters)
     seconds, longest, shape = (values.get(setting.name) for setting in CREDIT)
     credit = Credit.of(seconds, longest, shape, find("task", cell.env).seconds)
-    return jax.tree.map(np.asarray, (_learner(cell, values), _teacher(cell, values), credit))
+    return jax.tree.map(np.asarray, (_recipe(cell, values).made(), _teacher(cell, values), credit))
 
 
-def _learner(cell: Cell, values: Mapping[str, float], capacity: int | None = None) -> Learner:
+def recipe_of(cell: Cell) -> Recipe:
+    """How the learner of a cell is made."""
+    return _recipe(cell, dict(cell.hyperparameters))
+
+
+def pack_learned(cell: Cell, learner: Learner, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the learner of a cell has learned, as `gpcjax.learners.packed.unpack_learner` takes it."""
+    if cell.algo in built_in("learner"):
+        return pack_learner(learner, state)
+    return pack_own(recipe_of(cell), learner, state)
+
+
+def _recipe(cell: Cell, values: Mapping[str, float], capacity: int | None = None) -> Recipe:
     spec: LearnerSpec = find("learner", cell.algo)
     names = {setting.name for setting in spec.settings}
     options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
@@ -68,7 +91,7 @@ def _learner(cell: Cell, values: Mapping[str, float], capacity: int | None = Non
             "sparsify": cell.sparsify,
             "on_full": cell.on_full,
         }
-    return make_learner(cell.algo, cell.env, **options)
+    return Recipe(cell.algo, cell.env, options)
 
 
 def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
@@ -99,7 +122,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
         env=make_env(program.env),
         expert=make_expert(program.env, program.oracle),
         episodes=program.episodes,
-        template=start_of(cell),
+        template=start_of(dataclasses.replace(cell, start=None)),
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
         kept=programs,

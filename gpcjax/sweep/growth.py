@@ -22,6 +22,7 @@ from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns, settings_of
 from gpcjax.sweep.plan import Cell, canonical, hash_of, plan, varying
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
 
 LISTS = ("algo", "oracle", "error", "delta", "rate")
@@ -225,4 +226,6 @@ def _filled(spec: SweepSpec, names: Iterable[str]) -> dict[str, dict[str, float 
 
 
 def _shown(value: object) -> str:
+    if isinstance(value, Mapping):
+        value = Source(**value).label
     return "as usual" if value is None or value == [] else shown(value)

@@ -1,12 +1,10 @@
 """What of a run is kept beside its rows, and when: its policy, or all that it learned. Loads no jax."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from gpcjax.allowed import COUNT, OneOf, converted, shown
 from gpcjax.errors import UserError
-from gpcjax.registry import built_in
 
 What = Literal["policies", "states"]
 WHATS = get_args(What)
@@ -59,21 +57,6 @@ def keeping_of(keep: Any, keep_at: Any, sources: tuple[str, str] = ("keep", "kee
     if every is None or not COUNT.admits(every):
         raise UserError(f"{sources[1]} {shown(keep_at)}: give {WHEN}")
     return Keeping(keep, every=every)
-
-
-def check_learners(keeping: Keeping | None, learners: Iterable[str], source: str = "keep") -> None:
-    """Refuses to keep what somebody's own learner learns: there is no form for it.
-
-    Raises:
-        UserError: one of these is not built in.
-    """
-    known = built_in("learner")
-    others = [name for name in learners if name not in known]
-    if keeping is not None and others:
-        raise UserError(
-            f"{source}: what {others[0]} learns has no form in which it could be kept, "
-            f"give it with {', '.join(known)} alone"
-        )
 
 
 @dataclass(frozen=True, eq=False)

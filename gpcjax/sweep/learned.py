@@ -1,18 +1,17 @@
 """What the runs of a folder had learned, as policies and as states to go on teaching with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from gpcjax.allowed import checked_path, shown, suggestion
+from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.learners.packed import unpack_learner
 from gpcjax.policies.saved import Unfit, unpack_policy
+from gpcjax.sweep.kept import PACKED, Kind, kept_rows
 from gpcjax.sweep.packing import unpacked
-from gpcjax.sweep.reading import read_kept
 from gpcjax.sweep.runfolder import check_report
 
 
@@ -41,7 +40,8 @@ def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
     """What learners had learned in a sweep (`--keep states`), a row for each: teaching goes on from there.
 
     As `load_policies`; in the place of `policy` are `learner` and `state`, as `gpcjax.load_learner` gives them. A
-    dictionary has room for as many points again as it holds.
+    dictionary has room for as many points again as it holds. A learner of one's own is made by its module, which must
+    be found.
 
     Raises:
         ValueError: as `load_policies`.
@@ -50,42 +50,30 @@ def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
 
 
 def _loaded(
-    out: Any, kind: str, where: dict[str, Any], columns: dict[str, Callable[[Any], Any]]
+    out: Any, kind: Kind, where: dict[str, Any], columns: dict[str, Callable[[Any], Any]]
 ) -> pd.DataFrame:
     folder = checked_path("out", out)
     check_report(folder)
-    frame = read_kept(folder)
-    wanted: pd.DataFrame = frame if kind == "policy" else frame.loc[frame["kind"] == kind]
-    if wanted.empty:
-        what = "states" if kind == "state" else "policies"
-        raise UserError(
-            f"{folder}: no {what} were kept there, give --keep {what} to the sweep that makes them"
-        )
-    names = [name for name in wanted.columns if name not in ("kind", "card", "arrays")]
-    for name, values in where.items():
-        if name not in names:
-            raise UserError(f"{shown(name)} is no column{suggestion(name, names)}: give {', '.join(names)}")
-        several = [values] if isinstance(values, str) or not np.iterable(values) else list(values)
-        wanted = wanted.loc[wanted[name].isin(several)]
-    found = [
-        _row(folder, kind, *entries)
-        for entries in zip(
-            *(wanted[name] for name in ("kind", "card", "arrays", "algo", "seed")), strict=True
-        )
-    ]
+    wanted = kept_rows(folder, kind, where)
+    found = [learned_of(folder, kind, row) for row in wanted.to_dict("records")]
     made = {
         name: pd.Series([make(each) for each in found], wanted.index, object)
         for name, make in columns.items()
     }
+    names = [name for name in wanted.columns if name not in PACKED]
     return wanted.loc[:, names].assign(**made).reset_index(drop=True)
 
 
-def _row(folder: Path, wanted: str, kind: str, card: str, arrays: bytes, algo: str, seed: int) -> Any:
-    """A policy, or a learner and its state."""
-    source = f"{folder}: what {algo} learned with seed {seed}"
+def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any]) -> Any:
+    """The policy, or the learner and its state, of a row of `kept_rows`.
+
+    Raises:
+        UserError: it is damaged.
+    """
+    source = f"{folder}: what {row['algo']} learned with seed {row['seed']}"
     try:
-        told, named = unpacked(card, arrays)
-        if kind == "policy":
+        told, named = unpacked(row["card"], row["arrays"])
+        if row["kind"] == "policy":
             return unpack_policy(told, named)
         learner, state = unpack_learner(told, named, source)
     except (Unfit, KeyError, TypeError, ValueError) as error:

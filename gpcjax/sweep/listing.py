@@ -17,6 +17,7 @@ from gpcjax.sweep.manifest import DamagedManifest, read_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import Found, names_in, whole_parts
 from gpcjax.sweep.rows import IDENTITY, cells_of
+from gpcjax.sweep.source import Source
 
 DEPTH = 3
 """Folders below the given one in which runs are looked for: a reproduction has a folder for each of its sweeps."""
@@ -161,6 +162,8 @@ def _usual(name: str, env: str) -> Any:
 
 def _written(value: Any) -> str:
     """As a flag has it."""
+    if isinstance(value, Mapping):
+        return Source(**value).folder
     if isinstance(value, list | tuple):
         return ",".join(map(_written, value))
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)

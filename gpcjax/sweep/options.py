@@ -131,6 +131,13 @@ EXPERIMENT = (
         series=True,
         otherwise="rate",
     ),
+    Option(
+        "start",
+        str,
+        Anything("the path of a run folder with kept states, or of a saved learner"),
+        "runs begin with what was learned there",
+        otherwise="with nothing",
+    ),
 )
 VARIANTS = (
     Option("sparsify", bool, SWITCH, "SPARS (Alg. 3)", True),
@@ -198,6 +205,17 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     mine = {setting.name for setting in (*learner.settings, *CREDIT)}
     theirs = {setting.name for setting in teacher.settings if learner.uncertain or not setting.uncertain}
     return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
+
+
+def conditions(words: Iterable[str]) -> dict[str, str]:
+    """Columns of a run folder and a value of each, from `COLUMN=VALUE`. Raises UserError."""
+    found = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or not name.strip() or not text.strip():
+            raise UserError(f"--where {shown(word)}: give COLUMN=VALUE, such as algo=gpc")
+        found[name.strip().replace("-", "_")] = text.strip()
+    return found
 
 
 def parse(option: Option, text: str, source: str) -> Any:

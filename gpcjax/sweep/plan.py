@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.options import LARGEST, OPTIONS, concerns, settings_of
+from gpcjax.sweep.source import FIELDS as SOURCE
+from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE, SweepSpec, as_dict
 
 
@@ -36,6 +38,7 @@ class Cell:
     on_full: str
     max_capacity: int
     teacher: str = ORACLE
+    start: Source | None = None
 
 
 class Program(NamedTuple):
@@ -106,6 +109,7 @@ def plan(spec: SweepSpec) -> list[Cell]:
             on_full=spec.on_full,
             max_capacity=spec.max_capacity,
             teacher=spec.teacher,
+            start=spec.start,
         )
         for algo in spec.algo
         for oracle, point, error, delta, rate, seed in itertools.product(
@@ -150,7 +154,12 @@ def default_out(spec: SweepSpec) -> Path:
 
 
 def canonical(value: object) -> object:
-    """JSON values with their lists sorted and without repeats, but for a series, whose order is its meaning."""
+    """JSON values with their lists sorted and without repeats, but for a series, whose order is its meaning.
+
+    Of what runs begin with, its digest alone: it may be moved.
+    """
+    if isinstance(value, Mapping) and set(value) == SOURCE:
+        return value["digest"]
     if isinstance(value, Mapping):
         return {
             name: inner if name in OPTIONS and OPTIONS[name].series else canonical(inner)

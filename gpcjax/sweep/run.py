@@ -16,7 +16,8 @@ from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
 from gpcjax.sweep.growth import covering, grown
-from gpcjax.sweep.keeping import Keeping, check_learners, keeping_of
+from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
@@ -58,7 +59,8 @@ def sweep(
         keep: "policies" or "states" (from which teaching goes on) of each run, for `load_policies` and `load_states`.
         keep_at: after which episode: "last", "best", or n for every n-th.
         checkpoint: seconds after which runs that are under way are saved, 0 for never.
-        **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters.
+        **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters;
+            `start`, a run folder with kept states or a saved learner, with which the runs begin.
 
     Raises:
         UserError: a setting that is not allowed, or a folder that is another sweep's or that another process is
@@ -72,12 +74,20 @@ def sweep(
     if executor is not None and jobs != 1:
         raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
     keeping = keeping_of(keep, keep_at)
-    check_learners(keeping, spec.algo)
+    check_keeping(keeping, spec)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     check_sweep(folder, spec)
+    _check_start(spec)
     make_writable(folder)
     run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds)
     return folder
+
+
+def _check_start(spec: SweepSpec) -> None:
+    if spec.start is not None:
+        from gpcjax.sweep.sources import check_start  # which reads run folders
+
+        check_start(spec)
 
 
 def run(

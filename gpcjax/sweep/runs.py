@@ -10,9 +10,9 @@ from gpcjax.engine.lanes import Lane, Start
 from gpcjax.engine.pool import Finished, Kept, Pool, Resumed
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Status
-from gpcjax.learners.packed import compact, pack_learner
-from gpcjax.policies.saved import pack_controller
-from gpcjax.sweep.build import start_of
+from gpcjax.learners.packed import compact
+from gpcjax.policies.saved import has_format, pack_controller
+from gpcjax.sweep.build import pack_learned, start_of
 from gpcjax.sweep.checkpointing import Checkpointer, Saved
 from gpcjax.sweep.executors.base import Orders, Say
 from gpcjax.sweep.keeping import KeptRow, What
@@ -59,7 +59,7 @@ class Runs:
         rows = self._kept.setdefault(each.name, [])
         if self._keeping.best:  # each that comes is better than the one before
             rows.clear()
-        rows.append(kept_row(self._keeping.what, each.episode, each.lane))
+        rows.append(kept_row(self._keeping.what, each.episode, each.name, each.lane))
 
     def deliver(self, finished: Finished) -> None:
         """Hands in a run that ended."""
@@ -67,7 +67,7 @@ class Runs:
         if self._keeping is not None and len(rows.episode):
             last = len(rows.episode)
             if not learned or not (self._keeping.best or learned[-1].episode == last):
-                learned.append(kept_row(self._keeping.what, last, finished.lane))
+                learned.append(kept_row(self._keeping.what, last, finished.name, finished.lane))
         self._say(("rows", dataclasses.replace(rows, kept=tuple(learned))))
 
     def save(self) -> None:
@@ -104,11 +104,15 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
     )
 
 
-def kept_row(what: What, episode: int, lane: Lane) -> KeptRow:
-    """What a lane's learner had learned after this many episodes."""
-    if what == "policies":
+def kept_row(what: What, episode: int, cell: Cell, lane: Lane) -> KeptRow:
+    """What the learner of a cell had learned after this many episodes.
+
+    A policy without a form of its own, as a person's own learner may have, is kept as the state that it follows from.
+    """
+    if what == "policies" and has_format(lane.controller):
         kind, (card, arrays) = "policy", pack_controller(lane.controller)
     else:
-        kind, (card, arrays) = "state", pack_learner(lane.learner, compact(lane.learner, lane.state))
+        kind = "state"
+        card, arrays = pack_learned(cell, lane.learner, compact(lane.learner, lane.state))
     text, content = packed(card, arrays)
     return KeptRow(episode, float(np.asarray(lane.rows.returns)[episode - 1]), kind, text, content)

@@ -27,6 +27,7 @@ from gpcjax.sweep.options import (
     settings_of,
 )
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.source import Source
 
 ORACLE = OPTIONS["teacher"].default
 """The teacher of the thesis (Alg. 4)."""
@@ -64,6 +65,8 @@ class SweepSpec:
     """Values of the learners' and the teacher's settings instead of presets, by name; only those that were given."""
     teacher: str = ORACLE
     """Who teaches, as `gpcjax.registry` finds it."""
+    start: Source | None = None
+    """What was learned elsewhere, with which its runs begin; None if with nothing."""
 
 
 class Given(NamedTuple):
@@ -242,6 +245,10 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
+    if "start" in known:
+        from gpcjax.sweep.sources import source_of  # which reads run folders: only where one is named
+
+        fields["start"] = source_of(value["start"], known["start"].source)
     places = {name: setting.source for name, setting in known.items()}
     for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
         check_lateness(names, fields["hyperparameters"], places, task.seconds)
@@ -267,7 +274,7 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
 
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
     """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
-    later = {"teacher": ORACLE}
+    later = {"teacher": ORACLE, "start": None}
     entries = {**asdict(spec), "seeds": spec.seeds.as_json()}.items()
     return _lists({name: value for name, value in entries if name not in later or value != later[name]})
 
@@ -285,7 +292,8 @@ def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
     if seeds is None:
         raise ValueError(f"seeds {shown(specification['seeds'])}")
     numbers = {name: tuple(value) for name, value in hyperparameters.items()}
-    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers})
+    start = Source(**specification["start"]) if specification.get("start") else None
+    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers, "start": start})
 
 
 def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:

@@ -21,6 +21,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import accept, option_of
 from gpcjax.sweep.spec import Given
 from gpcjax.teach.course import COURSE, SAVES, Course, new_folder, seconds_of
+from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Command, Press
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Lesson:
     Args:
         folder: what was taught there before goes on; otherwise it is made.
         course: what is taught, None to go on with what is in the folder.
-        origin: a saved state to begin with.
+        origin: what to begin with: a saved learner, or a run.
         options: how it is held.
         say: takes a message for the page, from any thread.
     """
@@ -74,7 +75,7 @@ class Lesson:
         self,
         folder: Path,
         course: Course | None,
-        origin: Path | None,
+        origin: Origin | None,
         options: Options,
         say: Say,
     ):
@@ -336,7 +337,7 @@ class Lesson:
             return
         self._anew(course, None)
 
-    def _anew(self, course: Course, origin: Path | None) -> None:
+    def _anew(self, course: Course, origin: Origin | None) -> None:
         """Ends this lesson and begins another one beside it; if that cannot be, this one goes on."""
         before = self._folder, self._course, self._origin
         self._end()

@@ -7,6 +7,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.environment import compute_here
 from gpcjax.teach.course import COURSE, Course, new_folder
 from gpcjax.teach.lesson import Lesson, Options, Say
+from gpcjax.teach.origin import Origin
 
 EXTRA = "gpcjax teach needs its extra: pip install 'gpcjax[teach]' ({})"
 
@@ -20,7 +21,7 @@ ENDED = 130
 def teach(
     folder: Path | None,
     course: Course | None,
-    origin: Path | None,
+    origin: Origin | None,
     options: Options,
     host: str,
     port: int | None,
@@ -30,7 +31,7 @@ def teach(
     Args:
         folder: what is taught there goes on; None makes a new one.
         course: what is taught, None to go on with what the folder has.
-        origin: a saved state to begin with.
+        origin: what to begin with: a saved learner, or a run.
         options: how.
         host, port: where it listens; without a port on the first from 8765 on that is free.
 

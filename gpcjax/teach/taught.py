@@ -13,12 +13,13 @@ from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info
-from gpcjax.learners.saved import load_learner, save_policy
+from gpcjax.learners.saved import save_policy
 from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
 from gpcjax.registry import find
-from gpcjax.sweep.build import learner_of
-from gpcjax.teach.course import DICTIONARY, POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.beginning import beginning, put
+from gpcjax.teach.course import POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
@@ -49,18 +50,18 @@ class Taught:
         self._world = world
 
     @classmethod
-    def begin(cls, folder: Path, course: Course, origin: Path | None = None) -> "Taught":
-        """A new folder, which exists and is empty; `origin` is what was saved elsewhere, to go on from.
+    def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
+        """A new folder, which exists and is empty; `origin` is what was saved or kept elsewhere, to go on from.
 
         Raises:
-            UserError: it cannot be written, or `origin` is of another task.
+            UserError: it cannot be written, or `origin` is of another task, or means nothing to this learner.
         """
         start = None
         if origin is not None:
-            shutil.copytree(origin, folder / START)
             start = folder / START
+            put(origin, start, course)
         course.write(folder)
-        learner, state = _beginning(course, start)
+        learner, state = beginning(course, start)
         session = Session(learner, state, **_settings(course), record=folder / RECORD)
         taught = cls(folder, course, session, _world(course, pictures=True), Tally())
         taught._propose(taught._world.begin(0))
@@ -94,7 +95,7 @@ class Taught:
                 taught._compare(event["values"])
             tally.hear(session, event, outcome)
 
-        learner, state = _beginning(course, folder / START if (folder / START).exists() else None)
+        learner, state = beginning(course, folder / START if (folder / START).exists() else None)
         taught = cls(folder, course, Session(learner, state, **_settings(course)), world, tally)
         taught.session = Session.replay(record, learner, state, go_on=not whole, told=told)
         if whole:
@@ -273,13 +274,6 @@ def _settings(course: Course) -> dict[str, Any]:
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
     return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
-
-
-def _beginning(course: Course, start: Path | None) -> tuple[Any, Any]:
-    """The learner and the state that it begins with; None for an untaught one."""
-    if start is None:
-        return learner_of(course.cell(1), DICTIONARY), None
-    return load_learner(start)
 
 
 def _world(course: Course, pictures: bool) -> World:

@@ -43,6 +43,11 @@ class World:
         )
         self._state: State | None = None
 
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of an observation, and of an action."""
+        return self._env.obs_size, self._env.action_size
+
     def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
         """The first observation of this episode, from 0."""
         if self._simulation is not None:

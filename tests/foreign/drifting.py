@@ -48,5 +48,12 @@ class Linear(gpcjax.Learner):
         return {"weight": jnp.abs(state).max()}
 
 
+class Drawing(Linear):
+    """Keeps a random key, which is no array of numbers."""
+
+    def init(self, key=None):
+        return {"weights": super().init(), "key": jax.random.key(0)}
+
+
 class Shy(gpcjax.Oracle):
     """The oracle, silent in the first steps of an episode."""

@@ -206,8 +206,8 @@ def test_what_is_to_be_kept(keep, at, expected):
         ("--keep-at 3", "--keep-at '3': nothing is kept, give --keep policies or --keep states"),
         ("--checkpoint -1", "--checkpoint -1: give a number of at least 0"),
         (
-            "--keep states --algo gpc,drifting:Linear",
-            "--keep: what drifting:Linear learns has no form in which",
+            "--keep states --algo gpc,drifting:Drawing",
+            "--keep: what drifting:Drawing learns cannot be kept, as its state['key'] is no array of numbers",
         ),
     ],
 )

@@ -1,0 +1,1 @@
+"""Watching a policy: in a window, or as an animated GIF."""

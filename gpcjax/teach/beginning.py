@@ -1,0 +1,40 @@
+"""The learner and the state that a lesson begins with."""
+
+import shutil
+from pathlib import Path
+
+from gpcjax.learners.base import Learner, State
+from gpcjax.learners.carried import carried
+from gpcjax.learners.saved import load_learner
+from gpcjax.policies.folder import write_folder
+from gpcjax.sweep.build import learner_of, pack_learned
+from gpcjax.sweep.learned import learned_of
+from gpcjax.teach.course import DICTIONARY, Course
+from gpcjax.teach.origin import Origin
+
+
+def beginning(course: Course, start: Path | None) -> tuple[Learner, State | None]:
+    """Those in the folder `start`; without one an untaught learner, whose first state is its own affair."""
+    if start is None:
+        return learner_of(course.cell(1), DICTIONARY), None
+    return load_learner(start)
+
+
+def put(origin: Origin, start: Path, course: Course) -> None:
+    """Makes the folder `start` of what a lesson shall begin with.
+
+    Of a run it holds what `gpcjax.save_learner` would have written of the learner of this course at that point.
+
+    Raises:
+        UserError: what the run had learned is damaged, or means nothing to this learner.
+    """
+    if isinstance(origin, Path):
+        shutil.copytree(origin, start)
+        return
+    source, state = learned_of(origin.folder, "state", origin.row)
+    cell = course.cell(1)
+    learner = learner_of(cell, DICTIONARY)
+    state = carried(source, state, learner, (DICTIONARY, DICTIONARY), f"--from {origin.folder}")
+    card, arrays = pack_learned(cell, learner, state)
+    run = {"run": origin.folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
+    write_folder(start, {**card, "provenance": {"env": course.env, **run}}, arrays)

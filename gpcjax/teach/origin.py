@@ -1,0 +1,61 @@
+"""What a lesson may begin with: a learner that was saved, or what a run of a sweep had learned. Loads no jax."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gpcjax.errors import UserError
+from gpcjax.sweep.kept import differences, kept_rows, narrowed, newest
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.sources import RELATIVES
+
+
+class Run(NamedTuple):
+    """A run with a kept state."""
+
+    folder: Path
+    """The run folder."""
+    env: str
+    algo: str
+    """Who is to go on; the state may be of a relative."""
+    seed: int
+    row: Mapping[str, Any]
+    """As `gpcjax.sweep.kept.kept_rows` has it."""
+
+
+Origin = Path | Run
+"""The folder of a saved learner, or a run."""
+
+
+def of_run(folder: Path, algo: str | None, seed: int | None, where: Mapping[str, str]) -> Run:
+    """The one run that a person means: its newest state counts.
+
+    Args:
+        folder: a run folder.
+        algo: who is to go on, if that was said; a relative's state will do where there is none of its own.
+        seed: of the run, likewise.
+        where: columns of the run folder, and the value that the run has there.
+
+    Raises:
+        UserError: there is none, or there are several.
+    """
+    place = f"--from {folder}"
+    asked = {**where, **({} if seed is None else {"seed": str(seed)})}
+    left = narrowed(newest(kept_rows(folder, "state", {})), asked, place)
+    if algo is not None:
+        held = set(left["algo"])
+        fitting = next((name for name in (algo, *RELATIVES.get(algo, ())) if name in held), None)
+        if fitting is None:
+            raise UserError(
+                f"{place}: it holds what {', '.join(sorted(held))} learned, which means nothing to {algo}: leave "
+                "--algo out, or give another folder"
+            )
+        left = left.loc[left["algo"] == fitting]
+    if len(left) > 1:
+        raise UserError(
+            f"{place}: {len(left):,} runs of it may be meant, which differ in {differences(left)}: say which "
+            "(--seed, --where NAME=VALUE)"
+        )
+    (row,) = left.to_dict("records")
+    env = read_manifest(folder)["specification"]["env"]
+    return Run(folder, env, algo or row["algo"], int(row["seed"]), row)

@@ -1,0 +1,185 @@
+"""Sweeps whose runs begin with what was learned elsewhere."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gpcjax
+from gpcjax import cli
+from gpcjax.errors import UserError
+from gpcjax.sweep.checkpoints import cell_as_json, cell_of
+from gpcjax.sweep.executors import InProcess
+from gpcjax.sweep.growth import contradictions
+from gpcjax.sweep.layout import CHECKPOINTS
+from gpcjax.sweep.listing import commands
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.plan import hash_of, plan, program_of
+from gpcjax.sweep.reading import read_episodes
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.source import Source
+from gpcjax.sweep.sources import Contents, State, check_start
+from gpcjax.sweep.spec import as_dict, from_dict, spec_of
+from tests.sweep.test_underway import assert_same, killed_under_way
+
+SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
+SOURCE = Source("/somewhere/x", "0123456789ab")
+
+
+def state(algo="gpc", seed=0, oracle="lqr", error=0.0, **varying):
+    card = {"algo": algo, "obs_size": 4, "action_size": 1}
+    values = {"algo": algo, "seed": seed, "oracle": oracle, "error": error, **varying}
+    return State(values, card, (json.dumps(values), b""))
+
+
+def cell(**settings):
+    (one,) = plan(spec_of(**{"env": "cartpole", "algo": "gpc", "oracle": "lqr", "seeds": [0]} | settings))
+    return one
+
+
+def found(states, **settings):
+    return Contents(Path("/x"), states, "").of(cell(**settings)).values
+
+
+def test_a_run_takes_the_state_of_its_learner_and_seed():
+    states = [state(algo, seed) for algo in ("gpc", "gpc-ns", "coach") for seed in (0, 1)]
+    assert found(states, seeds=[1]) == states[1].values
+    assert found(states, algo="gpc-ns") == states[2].values
+    assert found(states[2:], algo="gpc") == states[2].values, "its relative"
+    saved = State({}, state("gpc").card, ("", b""))
+    assert Contents(Path("/x"), [saved], "").of(cell(seeds=[7])) is saved
+
+
+def test_of_several_it_takes_the_one_with_its_own_settings():
+    several = [state(error=error, policy_length_scale=scale) for error in (0.0, 0.2) for scale in (0.1, 0.4)]
+    got = found(several, error=0.2, policy_length_scale=0.4)
+    assert (got["error"], got["policy_length_scale"]) == (0.2, 0.4)
+    # What has one value there need not be the run's own: a second teacher, another setting.
+    assert found([state(oracle="gpc", error=0.3, policy_length_scale=9.0)], error=0.1)["error"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("states", "settings", "line"),
+    [
+        (
+            [state("coach")],
+            {},
+            "/x: it holds what coach learned, which means nothing to gpc: give --algo coach",
+        ),
+        ([state()], {"algo": "d-coach"}, "means nothing to d-coach: give --algo gpc"),
+        ([state(seed=3)], {}, "nothing that gpc learned with seed 0, give --seeds among those it has (3)"),
+        (
+            [state(error=0.0), state(error=0.2)],
+            {"error": 0.1},
+            "with error 0.0, 0.2, and these runs have 0.1 error",
+        ),
+    ],
+)
+def test_what_does_not_name_one_is_refused(states, settings, line):
+    with pytest.raises(UserError, match="start") as refused:
+        found(states, **settings)
+    assert line in str(refused.value)
+
+
+def test_it_is_part_of_what_rows_depend_on_wherever_it_lies():
+    plain = spec_of(env="cartpole", algo="gpc")
+    begun = dataclasses.replace(plain, start=SOURCE)
+    moved = dataclasses.replace(plain, start=Source("/elsewhere", SOURCE.digest))
+    changed = dataclasses.replace(plain, start=Source(SOURCE.folder, "ba9876543210"))
+    assert "start" not in as_dict(plain)
+    assert len({hash_of(as_dict(spec)) for spec in (plain, begun, moved, changed)}) == 3
+    assert hash_of(as_dict(begun)) == hash_of(as_dict(moved)) and from_dict(as_dict(begun)) == begun
+    told = contradictions(as_dict(begun), as_dict(changed))
+    assert told == ["start 'x (0123456789ab)', not 'x (ba9876543210)'"]
+    assert contradictions(as_dict(begun), as_dict(plain)) == ["start 'x (0123456789ab)', not as usual"]
+    first = plan(begun)[0]
+    assert first != plan(plain)[0] and program_of(first) == program_of(plan(plain)[0])
+    for each in (first, plan(plain)[0]):
+        assert cell_of(json.loads(json.dumps(cell_as_json(each)))) == each
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return sweep(tmp_path_factory.mktemp("source") / "out", executor=InProcess(), keep="states", **SETTINGS)
+
+
+def test_a_sweep_goes_on_from_another_one(source, tmp_path):
+    out = sweep(tmp_path / "out", executor=InProcess(), keep="states", start=source, **SETTINGS)
+    learned = gpcjax.load_states(source)
+    assert learned["episode"].tolist() == [2, 2]
+    rows = read_episodes(out)
+    # A run of four episodes is no run of two and two: streams begin anew. But what was learned stands the test.
+    first = rows[rows["episode"] == 1]["return"].to_numpy()
+    assert (first > read_episodes(source).query("episode == 1")["return"].to_numpy()).all()
+    (line,) = commands(read_manifest(out), out)
+    assert f"--start {source}" in line
+    # The same again is the same, from a copy too; from what has changed it is not.
+    copy = shutil.copytree(source, tmp_path / "copy")
+    sweep(out, executor=InProcess(), keep="states", start=copy, **SETTINGS)
+    for settings, line in (
+        ({}, "not as usual"),
+        ({"start": out}, r"start 'out \(\w{12}\)', not 'out \(\w{12}\)'"),
+    ):
+        with pytest.raises(UserError, match=line):
+            sweep(out, executor=InProcess(), **SETTINGS, **settings)
+
+
+def test_a_saved_learner_is_where_every_run_begins(source, tmp_path):
+    learner, learned = gpcjax.load_states(source, seed=1).loc[0, ["learner", "state"]]
+    gpcjax.save_learner(tmp_path / "saved", learner, learned)
+    silent = {**SETTINGS, "rate": 0.0, "seeds": [4, 5]}
+    out = sweep(tmp_path / "out", executor=InProcess(), keep="states", start=tmp_path / "saved", **silent)
+    for state in gpcjax.load_states(out)["state"]:
+        np.testing.assert_array_equal(state.policy, learned.policy)
+    with pytest.raises(
+        UserError, match="learned with 4 numbers of an observation and 1 actions, pendulum has 3"
+    ):
+        check_start(spec_of(env="pendulum", algo="coach", seeds=1, start=tmp_path / "saved"))
+
+
+def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
+    names = {"env": "drifting:Drift", "algo": "drifting:Linear", "oracle": "drifting:expert"}
+    settings = {**names, "seeds": 2, "episodes": 2, "executor": InProcess(), "rate": 0.5}
+    first = sweep(tmp_path / "first", keep="states", step_size=[0.2, 0.5], **settings)
+    frame = gpcjax.load_states(first)
+    assert len(frame) == 4 and (frame["state"].map(lambda state: np.abs(state).max()) > 0).all()
+    assert [float(learner.step_size) for learner in frame["learner"]] == frame["step_size"].tolist()
+    # Nobody teaches: it does what it had learned.
+    silent = settings | {"rate": 0.0, "step_size": 0.5}
+    second = sweep(tmp_path / "second", keep="policies", start=first, **silent)
+    policies = gpcjax.load_policies(second)["policy"]
+    learned = frame.loc[frame["step_size"] == 0.5, "state"]
+    for policy, state in zip(policies, learned, strict=True):
+        np.testing.assert_allclose(
+            policy([0.1, 0.0]), np.clip(np.asarray(state) @ [0.1, 0.0], -1, 1), rtol=1e-12
+        )
+
+
+@pytest.mark.slow
+def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path):
+    settings = SETTINGS | {"episodes": 12, "keep": "states", "start": str(source)}
+    reference = sweep(tmp_path / "reference", executor=InProcess(), checkpoint=0, **settings)
+    out = killed_under_way(tmp_path, settings)
+    assert list((out / CHECKPOINTS).iterdir()) and not list((out / "episodes").iterdir())
+    before = read_manifest(out)["env_steps"]
+    sweep(out, executor=InProcess(), checkpoint=0, **settings)
+    assert_same(out, reference)
+    assert 0 < read_manifest(out)["env_steps"] - before < read_episodes(out)["length"].sum()
+
+
+def test_mistakes_are_a_line(source, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    words = ["sweep", "--env", "cartpole", "--algo", "coach", "--out", "out"]
+    for folder, more, line in (
+        ("empty", (), "nothing to begin with is there, give a run folder with kept states (--keep states)"),
+        (str(source), ("--seeds", "3"), "nothing that coach learned with seed 2, give --seeds among those"),
+    ):
+        assert cli.main([*words, "--start", folder, *more]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("gpcjax: error: --start ") and line in said and said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
