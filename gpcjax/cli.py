@@ -8,8 +8,8 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -198,7 +198,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
-    running = Running(jobs, arguments.json, *_kept(given))
+    running = Running(jobs, arguments.json, arguments.live, *_kept(given))
     check_keeping(running.keeping, spec, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
@@ -218,6 +218,8 @@ class Running(NamedTuple):
 
     jobs: int
     as_json: bool
+    live: bool
+    """Whether the report is drawn meanwhile, too."""
     keeping: Keeping | None
     checkpoint: float
 
@@ -253,21 +255,37 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
         _note()
         with held(out):  # until the report is written, too
             watcher = JsonLines if running.as_json else Bar
-            ran = run(
-                spec,
-                out,
-                running.jobs,
-                keeping=running.keeping,
-                checkpoint=running.checkpoint,
-                watcher=watcher,
-                meanwhile=_prepare_report,
-            )
+            with _drawing(out, running.live) as meanwhile:
+                ran = run(
+                    spec,
+                    out,
+                    running.jobs,
+                    keeping=running.keeping,
+                    checkpoint=running.checkpoint,
+                    watcher=watcher,
+                    meanwhile=meanwhile,
+                )
             (out / FAULT).unlink(missing_ok=True)
             return _report(out, running.as_json, anew=ran)
     except KeyboardInterrupt as stop:
         return _stopped(out, stop)
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
+
+
+@contextmanager
+def _drawing(out: Path, live: bool) -> Iterator[Callable[[], None]]:
+    """What is done in a thread while a sweep runs: the report is drawn, or what it needs is loaded."""
+    if not live:
+        yield _prepare_report
+        return
+    from gpcjax.report.live import Live
+
+    drawing = Live(out)
+    try:
+        yield drawing.run
+    finally:
+        drawing.stop()
 
 
 def _prepare_report() -> None:

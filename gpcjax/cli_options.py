@@ -132,6 +132,7 @@ _WHERE = Flag(
 def _sweep(name: str) -> Command:
     switches = (
         Flag("--dry-run", "check all, say how many cells, run nothing"),
+        Flag("--live", "keep report.html and its figures fresh while it runs"),
         Flag("--quick", "with the settings of the file's table [quick]"),
         _JSON,
     )

@@ -38,6 +38,11 @@ def render(document: Document, head: str = "") -> str:
     )
 
 
+def refreshing(seconds: int) -> str:
+    """A line of the head by which a browser loads the page anew after so many seconds."""
+    return f'<meta http-equiv="refresh" content="{seconds}">'
+
+
 def _block(block: Block) -> str:
     return _RENDERERS[type(block)](block)
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import pandas as pd
 
-from gpcjax.allowed import SWITCH, checked, checked_path
+from gpcjax.allowed import SWITCH, Numbers, checked, checked_path
 from gpcjax.errors import UserError
+from gpcjax.report import html
 from gpcjax.report.drawn import Mark
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import Summary, summarise
@@ -21,8 +22,10 @@ from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.runfolder import check_report, check_writable
 
+SECONDS = Numbers(low=0, high=86400, whole=True)
 
-def draw(out: Any, anew: Any = True) -> Summary:
+
+def draw(out: Any, anew: Any = True, refresh: Any = 0) -> Summary:
     """Read the store in `out` and write its tables, figures and report there again.
 
     What is damaged or foreign in the store is left out, with a line on stderr.
@@ -30,6 +33,7 @@ def draw(out: Any, anew: Any = True) -> Summary:
     Args:
         out: the run folder.
         anew: draw also what was drawn before of the same rows, and lies there as it was written. True or False.
+        refresh: seconds after which a browser that shows the page loads it anew; 0 for never.
 
     Raises:
         UserError: `out` holds no store, no episode yet or none that is whole, or nothing can be written there.
@@ -51,7 +55,10 @@ def draw(out: Any, anew: Any = True) -> Summary:
     from gpcjax.report.figures.drawing import write
 
     chosen = shown_rates(summary)
-    return write(out, summary, corrections_of(out, manifest, chosen, places.without(chosen)), mark)
+    corrections = corrections_of(out, manifest, chosen, places.without(chosen))
+    if seconds := checked("refresh", refresh, int, SECONDS):
+        return write(out, summary, corrections, lambda files: html.refreshing(seconds))
+    return write(out, summary, corrections, mark.of)
 
 
 def draw_frames(

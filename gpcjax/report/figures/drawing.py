@@ -1,5 +1,6 @@
 """From what was counted to the files of a report: the slow part of it, with all that it imports."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +8,6 @@ import pandas as pd
 
 from gpcjax.errors import UserError
 from gpcjax.report import content, html
-from gpcjax.report.drawn import Mark
 from gpcjax.report.figures import curves, grids, style
 from gpcjax.report.summary import Summary
 from gpcjax.sweep.atomic import write_atomic
@@ -15,8 +15,19 @@ from gpcjax.sweep.atomic import write_atomic
 _MEND = "make room and give the right to write, or report on a copy"
 
 
-def write(out: Path, summary: Summary, corrections: pd.DataFrame, mark: Mark | None = None) -> Summary:
-    """Draws the figures of a summary and writes its files into `out`; the page, which carries the mark, comes last.
+Written = dict[str, bytes | str]
+"""The content of files by their names."""
+
+
+def write(
+    out: Path,
+    summary: Summary,
+    corrections: pd.DataFrame,
+    head: Callable[[Written], str] = lambda files: "",
+) -> Summary:
+    """Draws the figures of a summary and writes its files into `out`; the page comes last.
+
+    `head` gives a line of the page's head, from the files beside it.
 
     Raises:
         UserError: a file cannot be written.
@@ -26,7 +37,7 @@ def write(out: Path, summary: Summary, corrections: pd.DataFrame, mark: Mark | N
         "rates": curves.learning_rates(summary, corrections),
         "heatmap": grids.final_returns(summary),
     }
-    files = {
+    files: Written = {
         "summary.csv": summary.table().to_csv(index=False),
         "differences.csv": summary.difference_table().to_csv(index=False),
     }
@@ -36,7 +47,7 @@ def write(out: Path, summary: Summary, corrections: pd.DataFrame, mark: Mark | N
             files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
             pictures.append(style.pictured(drawing))
     page = content.document(summary, pictures)
-    files["report.html"] = html.render(page, "" if mark is None else mark.of(files))
+    files["report.html"] = html.render(page, head(files))
     for name, written in files.items():
         try:
             write_atomic(out / name, written)
