@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import importlib.metadata
 import os
 import platform
 import sys
@@ -18,16 +19,21 @@ SINGLE_THREADED = {
 }
 """The same for any number of jobs."""
 
-XLA_OPTIONS = (
-    # Full vectors where a processor has them; XLA's own choice is half of AVX-512.
-    "--xla_cpu_prefer_vector_width=512",
-    # A sum over 64 x 64 numbers is not worth a call of YNNPACK, 8 us of what were 10 in a step's policies.
-    "--xla_cpu_experimental_ynn_fusion_type=",
-    # A loop whose arrays take less than this is compiled as one function; otherwise its steps are dispatched
-    # operation by operation, which costs more than they do.
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=67108864",
-)
-"""Measured in `benchmarks/README.md`: together they halve the time of a round."""
+XLA_OPTIONS = {
+    "0.10": (
+        # Full vectors where a processor has them; XLA's own choice is half of AVX-512.
+        "--xla_cpu_prefer_vector_width=512",
+        # A sum over 64 x 64 numbers is not worth a call of YNNPACK, 8 us of what were 10 in a step's policies.
+        "--xla_cpu_experimental_ynn_fusion_type=",
+        # A loop whose arrays take less than this is compiled as one function; otherwise its steps are dispatched
+        # operation by operation, which costs more than they do.
+        "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=67108864",
+    ),
+}
+"""What XLA is told, by the version of jaxlib: it refuses to start with an option that it does not know.
+
+Measured in `benchmarks/README.md`: together they halve the time of a round. Other versions run without any.
+"""
 
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 """Where XLA's programs are kept; the one variable of jax that a person may set for workers."""
@@ -49,7 +55,13 @@ _NOTEWORTHY = ("JAX_", "XLA_", "EQX_")
 
 def computing_environment() -> dict[str, str]:
     """One thread, XLA's options, and the processor: what rows depend on, whatever the present environment says."""
-    return {**SINGLE_THREADED, "XLA_FLAGS": " ".join(XLA_OPTIONS), "JAX_PLATFORMS": "cpu"}
+    return {**SINGLE_THREADED, "XLA_FLAGS": " ".join(xla_options()), "JAX_PLATFORMS": "cpu"}
+
+
+def xla_options(jaxlib: str | None = None) -> tuple[str, ...]:
+    """The options for this version of jaxlib, such as 0.10.2; for the installed one by default."""
+    version = importlib.metadata.version("jaxlib") if jaxlib is None else jaxlib
+    return XLA_OPTIONS.get(".".join(version.split(".")[:2]), ())
 
 
 def worker_environment() -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gpcjax.sweep import environment
-from gpcjax.sweep.environment import CACHE, XLA_OPTIONS, notes, worker_environment
+from gpcjax.sweep.environment import CACHE, XLA_OPTIONS, notes, worker_environment, xla_options
 from gpcjax.sweep.executors.starting import FEWER, reason
 
 HOSTILE = {
@@ -53,7 +53,7 @@ def test_nothing_that_computes_hears_of_the_present_environment(monkeypatch):
     for name, value in HOSTILE.items():
         monkeypatch.setenv(name, value)
     assert worker_environment() == before
-    assert before["JAX_PLATFORMS"] == "cpu" and before["XLA_FLAGS"] == " ".join(XLA_OPTIONS)
+    assert before["JAX_PLATFORMS"] == "cpu" and before["XLA_FLAGS"] == " ".join(xla_options())
     assert before["OMP_NUM_THREADS"] == "1" and before["PATH"] == "/usr/bin:/bin"
 
 
@@ -117,3 +117,29 @@ def test_a_person_is_told_what_sweeps_do_without(monkeypatch):
 )  # fmt: skip
 def test_the_reason_of_an_end(status, written, expected):
     assert reason(status, written) == expected
+
+
+def test_options_of_xla_are_those_of_the_version_that_is_installed():
+    assert xla_options("0.10.0") == xla_options("0.10.2") == XLA_OPTIONS["0.10"]
+    assert xla_options("0.1.75") == xla_options("0.11.0") == xla_options("1.0") == ()
+    assert xla_options(), "none are known for the installed jaxlib: add what is measured to be faster"
+
+
+def starts(option):
+    """What XLA says if it does not start with an option."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import jax; jax.devices()"],
+        env=worker_environment() | {"XLA_FLAGS": option},
+        capture_output=True,
+        text=True,
+    )
+    return "" if done.returncode == 0 else f"{option}: {done.stderr[-300:]}"
+
+
+@pytest.mark.parametrize("option", xla_options())
+def test_xla_takes_each_option(option):
+    assert starts(option) == ""
+
+
+def test_xla_refuses_what_it_does_not_know():
+    assert starts("--xla_no_such_option=1").startswith("--xla_no_such_option=1: ")
