@@ -107,7 +107,7 @@ class Foreign(Oracle):
         object(),
         iter(()),
     ],
-    ids=str,
+    ids="lambda function disguised class instance partial argument inside task objects object iterator".split(),
 )
 @pytest.mark.parametrize("compiled_in", [True, False])
 def test_code_of_others_has_none(thing, compiled_in):
