@@ -215,6 +215,18 @@ def test_a_window_shows_all_frames_until_it_is_closed():
     pyplot.close(figure)
 
 
+def test_where_no_pictures_can_be_made_numbers_are_shown(capsys, monkeypatch):
+    def no_library(world):
+        raise RuntimeError("no OpenGL\nand more of that")
+
+    monkeypatch.setattr(World, "picture", no_library)
+    assert cli.main(["play", "lunarlander:heuristic", "--gif", "x.gif", "--seconds", "0.1"]) == 0
+    out, err = capsys.readouterr()
+    assert err == "gpcjax: no pictures of lunarlander can be made here (no OpenGL): its numbers are shown\n"
+    with Image.open("x.gif") as image:
+        assert out.splitlines()[-1].startswith(f"x.gif: {image.n_frames} frames, ")
+
+
 def test_the_command_says_what_it_shows(folder, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("gpcjax.play.showing.has_window", lambda: False)
     words = ["play", str(folder), "--seed", "2", "--where", "error=0", "--episodes", "2", "--speed", "10"]

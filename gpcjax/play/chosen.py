@@ -1,6 +1,7 @@
 """Which policy is played: one that a sweep kept, one that was saved, or an expert of a task."""
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,7 +51,7 @@ def player_of(word: str, env: str | None, seed: int | None, where: Mapping[str, 
     Raises:
         UserError: there is no policy, or nobody says on which task.
     """
-    folder = Path(word).expanduser()
+    folder = Path(os.path.expanduser(word))
     if where and not _has_runs(folder):
         raise UserError(f"--where: {word} is no run folder with kept policies, leave it out")
     if _has_runs(folder):

@@ -3,7 +3,9 @@
 import argparse
 import functools
 import math
+import os
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -73,7 +75,7 @@ def _wishes(arguments: argparse.Namespace) -> Wishes:
         )
         if (text := getattr(arguments, name)) is not None
     }
-    gif = Path(given["gif"]).expanduser() if "gif" in given else None
+    gif = Path(os.path.expanduser(given["gif"])) if "gif" in given else None
     if gif is not None and (gif.suffix.lower() != ".gif" or gif.is_dir()):
         raise UserError(f"--gif {gif}: give a path that ends in .gif")
     return Wishes(
@@ -123,9 +125,17 @@ def _world(player: "Player", seed: int) -> "World":
 def _stage(figure: "Figure", world: "World", player: "Player") -> "Stage":
     from gpcjax.play.stage import Stage
 
-    task = find("task", player.env)
     world.begin(0)
-    return Stage(figure, task, player.who, world.picture(), world.sizes)
+    picture = None
+    try:
+        picture = world.picture()
+    except Exception as error:  # whatever a renderer meets: no OpenGL, a library that is missing
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        print(
+            f"gpcjax: no pictures of {player.env} can be made here ({reason}): its numbers are shown",
+            file=sys.stderr,
+        )
+    return Stage(figure, find("task", player.env), player.who, picture, world.sizes)
 
 
 def _frames(world: "World", player: "Player", wishes: Wishes, stage: "Stage") -> "Iterator[Frame]":
@@ -148,7 +158,7 @@ def _frames(world: "World", player: "Player", wishes: Wishes, stage: "Stage") ->
 
 
 def _see(stage: "Stage", moment: "Moment", world: "World") -> None:
-    stage.show(moment, world.picture())
+    stage.show(moment, world.picture() if stage.takes_pictures else None)
 
 
 def _name_of(word: str) -> str:

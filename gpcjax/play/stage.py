@@ -63,6 +63,11 @@ class Stage:
             actions = [*task.actions, *(f"action {i + 1}" for i in range(len(task.actions), sizes[1]))]
             self._scene = Lines(figure, names, actions)
 
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether it shows those of the task."""
+        return self._picture is not None
+
     def show(self, moment: Moment, picture: Picture | None = None) -> None:
         """Changes the figure to this moment; a task without a scene may give a new `picture`."""
         time = f"step {moment.step}" if self._seconds is None else f"{moment.step * self._seconds:.1f} s"

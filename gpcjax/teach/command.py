@@ -1,12 +1,12 @@
 """The words of `gpcjax teach`, checked: what is taught, where, and what it begins with. Loads no jax."""
 
 import argparse
+import os
 from pathlib import Path
 
 from gpcjax.allowed import Numbers
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
-from gpcjax.policies.folder import CARD
 from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.options import Option, conditions, parse
 from gpcjax.sweep.spec import Given, Unchecked
@@ -24,6 +24,7 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     Raises:
         UserError: a mistake of the person's.
     """
+    from gpcjax.policies.folder import CARD
     from gpcjax.teach.course import COURSE, Course
     from gpcjax.teach.lesson import Options
     from gpcjax.teach.origin import Origin, of_run
@@ -40,11 +41,11 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
         if (text := getattr(arguments, name)) is not None
     }
     out, oracle = given.pop("out", None), given.pop("oracle", None)
-    folder = Path(out.value).expanduser() if out is not None else None
+    folder = Path(os.path.expanduser(out.value)) if out is not None else None
     origin: Origin | None = None
     named, where = getattr(arguments, "from"), conditions(arguments.where)
     if named is not None:
-        path = Path(named).expanduser()
+        path = Path(os.path.expanduser(named))
         if (path / MANIFEST).is_file() and not (path / COURSE).is_file():
             algo = given["algo"].value[0] if "algo" in given else None
             origin = of_run(path, algo, own.get("seed"), where)
