@@ -57,6 +57,7 @@ def play(arguments: argparse.Namespace) -> int:
     where = conditions(arguments.where)
     env = None if arguments.env is None else parse(OPTIONS["env"], arguments.env, "--env")
     compute_here()
+    import gpcjax.report.figures  # noqa: F401  (before matplotlib, which it imports as a notebook's kernel allows)
     from gpcjax.play.chosen import player_of
 
     player = player_of(arguments.out, env, wishes.seed, where)
@@ -87,7 +88,7 @@ def _show(player: "Player", wishes: Wishes, word: str) -> int:
     from matplotlib.figure import Figure
 
     from gpcjax.play.showing import has_window, watch, write_gif
-    from gpcjax.report.style import publication
+    from gpcjax.report.figures.style import publication
 
     world = _world(player, player.seed if wishes.seed is None else wishes.seed)
     print(player.who, flush=True)
