@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 import enum
+import threading
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -15,6 +16,8 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.gp.threads import one_thread
+from gpcjax.learners.calls import Called
 from gpcjax.moment import Moment
 from gpcjax.policies.base import (
     ByIdentity,
@@ -29,6 +32,11 @@ from gpcjax.policies.base import (
 State = PyTree
 Change = PyTree
 """What a correction changes in a state, with as little as possible of what it leaves as it is."""
+
+
+_ADVICE = frozenset((-1.0, 0.0, 1.0))
+_TAKER = "this learner"
+_LOOPED = frozenset(("act", "correct"))
 
 
 class Status(enum.IntEnum):
@@ -139,7 +147,7 @@ class Learner(ByIdentity):
 
     def act(self, state: State, obs: Vector) -> Float[Array, " action"]:
         """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
-        return _act(self, state, self._vector("obs", obs, self.obs_size))
+        return _act(self, state, vector("obs", obs, self.obs_size, _TAKER))
 
     def policy_of(self, state: State) -> Policy:
         """What `state` does, as a function obs (obs_size,) -> action (action_size,) in [-1, 1].
@@ -151,10 +159,12 @@ class Learner(ByIdentity):
 
     def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
         """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
-        obs = self._vector("obs", obs, self.obs_size)
-        return _uncertainty(self, state, obs, self._vector("action", action, self.action_size))
+        obs = vector("obs", obs, self.obs_size, _TAKER)
+        return _uncertainty(self, state, obs, vector("action", action, self.action_size, _TAKER))
 
-    def correct(self, state: State, obs: Vector, action: Vector, advice: Vector) -> tuple[State, Info]:
+    def correct(
+        self, state: State, obs: Vector, action: Vector, advice: Vector, *, donate: bool = False
+    ) -> tuple[State, Info]:
         """Learns from one correction.
 
         Args:
@@ -162,6 +172,8 @@ class Learner(ByIdentity):
             obs: (obs_size,), where the correction was given.
             action: (action_size,), the action that was executed there, clipped to [-1, 1] as `act` gives it.
             advice: (action_size,), h: -1 for less, 1 for more, 0 for no advice, which leaves that dimension untouched.
+            donate: `state` is not used any more, and its arrays may be overwritten: nothing of it is copied. Whoever
+                does use it afterwards is told that it was deleted.
 
         Returns:
             The new state, of the same shapes, and what was done. A status other than `Status.OK` means that the
@@ -172,10 +184,10 @@ class Learner(ByIdentity):
                 beyond [-1, 1]. Where jax traces one of these two its value is not known: then nothing is learned, and
                 the status is `Status.INVALID`. What is not finite is `Status.NON_FINITE`, also in an action.
         """
-        advice = self._vector("advice", advice, self.action_size)
-        obs = self._vector("obs", obs, self.obs_size)
-        action = self._vector("action", action, self.action_size)
-        if not isinstance(advice, Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+        advice = vector("advice", advice, self.action_size, _TAKER)
+        obs = vector("obs", obs, self.obs_size, _TAKER)
+        action = vector("action", action, self.action_size, _TAKER)
+        if not isinstance(advice, Tracer) and not _ADVICE.issuperset(np.asarray(advice).tolist()):
             raise UserError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
         check_executed(action)
         if isinstance(advice, Tracer) or isinstance(action, Tracer):
@@ -183,7 +195,28 @@ class Learner(ByIdentity):
             state, info = _correct(self, state, obs, action, jnp.where(valid, advice, 0.0))
             status = jnp.where(valid, info.status, Status.INVALID).astype(info.status.dtype)
             return state, dataclasses.replace(info, status=status)
-        return _correct(self, state, obs, action, advice)
+        if not self.factorises:
+            return _correct(self, state, obs, action, advice, donate=donate)
+        with one_thread():
+            return jax.block_until_ready(_correct(self, state, obs, action, advice, donate=donate))
+
+    def warm_up(self, state: State, *, donate: bool = False) -> threading.Thread:
+        """Compiles what `act`, `correct`, `has_room` and `grow` need, which otherwise happens when they come first.
+
+        For the room that `state` has, until this returns; then, in the thread that it returns, for twice of it, so that
+        a correction after `grow` need not wait. Nothing is learned, and `state` stays as it is.
+
+        Args:
+            state: from `init` or a correction.
+            donate: as `correct` will be called.
+
+        Returns:
+            The thread, which has begun: `join` it to wait until all is compiled. A program that ends waits for it.
+        """
+        self._run_once(state, donate)
+        thread = threading.Thread(target=self._warm_up_larger, args=(state, donate), name="gpcjax warm-up")
+        thread.start()
+        return thread
 
     def grow(self, state: State) -> State:
         """The same state with twice the room, for hosts that see `Info.full`."""
@@ -205,6 +238,11 @@ class Learner(ByIdentity):
     @property
     def goes_on_when_full(self) -> bool:
         """Whether a run goes on after a correction that was refused for want of room (`Status.FULL`)."""
+        return False
+
+    @property
+    def factorises(self) -> bool:
+        """Whether a correction factorises matrices anew: it is then computed with one thread (`gpcjax.gp.threads`)."""
         return False
 
     def largest_sigma(self) -> Float[Array, ""]:
@@ -266,8 +304,23 @@ class Learner(ByIdentity):
         """The states with a change; `place` is its place, the indices of their first axes."""
         raise NotImplementedError
 
-    def _vector(self, name: str, value: Vector, size: int) -> Any:
-        return vector(name, value, size, "this learner")
+    def _run_once(self, state: State, donate: bool) -> None:
+        """All that a loop calls, without advice."""
+        obs, none = np.zeros(self.obs_size), np.zeros(self.action_size)
+        self.act(state, obs)
+        self.has_room(state)
+        # One that is given away is a copy: `state` is somebody's.
+        spare = jax.tree.map(jnp.copy, state) if donate else state
+        jax.block_until_ready(self.correct(spare, obs, none, none, donate=donate))
+
+    def _warm_up_larger(self, state: State, donate: bool) -> None:
+        larger = self.grow(state) if self.wants_room else state
+        if jax.tree.map(jnp.shape, larger) != jax.tree.map(jnp.shape, state):
+            self._run_once(larger, donate)
+
+    def __getattribute__(self, name: str) -> Any:
+        # equinox makes a module of each method that is looked up, which takes longer than to act: a loop's two are not.
+        return object.__getattribute__(self, name) if name in _LOOPED else super().__getattribute__(name)
 
 
 class Proposing(Controller):
@@ -291,13 +344,13 @@ class Proposing(Controller):
         return propose(self.learner, self.state, obs)
 
 
-@eqx.filter_jit
+@Called
 def _act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
     _check_precision(learner, state)
     return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
 
 
-@eqx.filter_jit
+@Called
 def _uncertainty(
     learner: Learner, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
 ) -> Float[Array, " action"]:
@@ -305,7 +358,7 @@ def _uncertainty(
     return learner._uncertainty(state, obs, action)
 
 
-@eqx.filter_jit
+@Called
 def _correct(
     learner: Learner,
     state: State,
