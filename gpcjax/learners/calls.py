@@ -15,6 +15,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from gpcjax.errors import UserError
+
 Function = Callable[..., Any]
 
 
@@ -31,12 +33,17 @@ class Called:
         """What the function gives.
 
         With `donate` the arrays of `state` may be overwritten: where all are arrays of jax's, and no other's too.
+
+        Raises:
+            UserError: `state` was given away before.
         """
         leaves, form = jax.tree.flatten(state)
         learners = _apart(learner)
         if learners is None or not (_are_arrays(leaves) and _are_arrays(vectors)):
             # Part of what jax traces, or something to be refused: where it is traced, as ever.
             return self._otherwise(learner, state, *vectors)
+        if leaves and isinstance(leaves[0], jax.Array) and leaves[0].is_deleted():
+            raise UserError("state: it was given away (donate), use the one that came of it")
         numbers, kind = learners
         donate = donate and _can_be_given(leaves, numbers)
         key = kind, form, donate

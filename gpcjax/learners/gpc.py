@@ -11,6 +11,7 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
+import functools
 from typing import ClassVar
 
 import equinox as eqx
@@ -218,7 +219,7 @@ def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, "
 # are what they are without it.
 
 
-@eqx.filter_jit(inline=True)
+@functools.partial(eqx.filter_jit, inline=True)
 def _untaught(learner: GPC) -> GPCState:
     unscaled = jnp.ones(1)  # the action is not scaled in GPC
     policy = learner.policy.init(learner.policy_capacity, learner.scaling)
@@ -227,7 +228,7 @@ def _untaught(learner: GPC) -> GPCState:
     return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
 
 
-@eqx.filter_jit(inline=True)
+@functools.partial(eqx.filter_jit, inline=True)
 def _resized(learner: GPC, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
     return GPCState(
         policy=jax.vmap(lambda posterior: learner.policy.grow(posterior, policy_capacity))(state.policy),
