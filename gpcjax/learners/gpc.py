@@ -11,7 +11,6 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
-import functools
 from typing import ClassVar
 
 import equinox as eqx
@@ -219,7 +218,7 @@ def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, "
 # are what they are without it.
 
 
-@functools.partial(eqx.filter_jit, inline=True)
+@eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]  (what it takes beyond is for jax.jit)
 def _untaught(learner: GPC) -> GPCState:
     unscaled = jnp.ones(1)  # the action is not scaled in GPC
     policy = learner.policy.init(learner.policy_capacity, learner.scaling)
@@ -228,7 +227,7 @@ def _untaught(learner: GPC) -> GPCState:
     return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
 
 
-@functools.partial(eqx.filter_jit, inline=True)
+@eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]  (what it takes beyond is for jax.jit)
 def _resized(learner: GPC, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
     return GPCState(
         policy=jax.vmap(lambda posterior: learner.policy.grow(posterior, policy_capacity))(state.policy),
