@@ -1,7 +1,7 @@
 """Teach continuous controllers by corrective advice: GPC, GPC-NS and COACH, batched on JAX.
 
 `import gpcjax` itself loads no jax: a public name loads what it needs when it is first used, and the first one
-switches jax to float64.
+switches jax to float64. `load_policy` loads no jax either; float64 is on there as soon as anything imports it.
 """
 
 __version__ = "0.1.0"
@@ -48,6 +48,9 @@ _PUBLIC = {
     "teacher_names": "gpcjax.registry:teacher_names",
 }
 """Public name -> where it lives. None is the name of a subpackage: importing one would hide it."""
+
+_WITHOUT_JAX = {"load_policy"}
+"""Names that need no jax: a program that only acts starts in a fraction of the time."""
 
 __all__ = [  # noqa: RUF022  (the order of the interface)
     "make_learner",
@@ -123,7 +126,8 @@ def __getattr__(name: str) -> object:
 
     if name not in _PUBLIC:
         raise AttributeError(f"module 'gpcjax' has no attribute {name!r}")
-    import_module("gpcjax._x64")
+    if name not in _WITHOUT_JAX:
+        import_module("gpcjax._x64")
     module, _, attribute = _PUBLIC[name].partition(":")
     value = getattr(import_module(module), attribute)
     globals()[name] = value

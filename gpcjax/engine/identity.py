@@ -21,6 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from gpcjax.policies.policy import Policy
+
 OURS = "gpcjax"
 KNOWN = frozenset(
     {OURS, "builtins", "collections", "functools", "types", "numpy", "jax", "jaxlib", "equinox"}
@@ -92,6 +94,9 @@ def _lines(thing: Any, values: bool, inside: tuple[int, ...] = ()) -> Iterator[s
             yield f"{_name_of(type(thing))}.{thing.name}"
         case int() | float() | complex():
             yield f"{type(thing).__name__} {thing!r}"
+        case Policy():
+            yield "policy"
+            yield from _lines(thing.controller, values, inside)
         case np.dtype():
             yield f"dtype {thing.str}"
         case np.ndarray() | np.generic() | jax.Array() | jax.ShapeDtypeStruct():

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +41,7 @@ from gpcjax.engine.single import (
     uncertain,
 )
 from gpcjax.errors import UserError
+from gpcjax.gp.threads import one_thread
 from gpcjax.learners.base import Info, Learner, State
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
@@ -216,7 +218,8 @@ class Session:
             self._check_begun()
             before = self._block, self.corrections
             self._make_room()
-            block = advised(self._block, given[:, None])
+            with one_thread() if self.learner.factorises else contextlib.nullcontext():
+                block = jax.block_until_ready(advised(self._block, given[:, None]))
             with self._recorded():
                 self.corrections += int(np.asarray(block.tally.corrections)[0])
                 self._block = cleared(block)

@@ -15,9 +15,8 @@ from jaxtyping import Array, Float
 
 import gpcjax._x64  # noqa: F401
 from gpcjax.elementary import decay
-
-SQUARED_EXPONENTIAL = math.inf
-SMOOTHNESSES = (0.5, 1.5, 2.5, SQUARED_EXPONENTIAL)
+from gpcjax.gp.smoothness import SMOOTHNESSES as SMOOTHNESSES
+from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL as SQUARED_EXPONENTIAL
 
 
 def correlation(squared: Float[Array, "*shape"], smoothness: float) -> Float[Array, "*shape"]:

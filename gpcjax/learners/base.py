@@ -2,19 +2,21 @@
 
 import abc
 import dataclasses
-import enum
+import threading
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
-from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.gp.threads import one_thread
+from gpcjax.learners import compiled
+from gpcjax.learners.info import Info as Info
+from gpcjax.learners.info import Status as Status
 from gpcjax.moment import Moment
 from gpcjax.policies.base import (
     ByIdentity,
@@ -31,60 +33,9 @@ Change = PyTree
 """What a correction changes in a state, with as little as possible of what it leaves as it is."""
 
 
-class Status(enum.IntEnum):
-    """What became of a correction, or of a whole run."""
-
-    OK = 0
-    FULL = 1
-    NON_FINITE = 2
-    INVALID = 3
-
-    @property
-    def label(self) -> str:
-        """The word stored in the `status` column."""
-        return self.name.lower().replace("_", "-")
-
-    @property
-    def message(self) -> str:
-        """What happened and what to do, for a person."""
-        return {
-            Status.OK: "every correction was learned",
-            Status.FULL: "a dictionary reached its capacity: raise max_capacity (capacity), or choose another on_full",
-            Status.NON_FINITE: "a value became infinite or not a number: check the observations and hyperparameters",
-            Status.INVALID: "an advice was none of -1, 0 and 1, or an action beyond [-1, 1], and nothing was learned "
-            "from it: check the teacher, and clip what is executed",
-        }[self]
-
-
-class Info(eqx.Module):
-    """What one correction did, for each action dimension; zeros and NaN where there was no advice or no such value.
-
-    The axis `action` is absent where one dimension is corrected by itself.
-    """
-
-    rate: Float[Array, "*action"]
-    """Learning rate r_k (3.5): how far the action was moved, so 0 if the correction was not learned.
-
-    For COACH the change of the action at this observation.
-    """
-    sigma_policy: Float[Array, "*action"]
-    """Uncertainty of the policy before the correction; NaN for COACH."""
-    sigma_human: Float[Array, "*action"]
-    """Uncertainty of the human model before the correction; NaN for COACH."""
-    appended: Bool[Array, "*action"]
-    """The policy's dictionary gained a point."""
-    replaced: Bool[Array, "*action"]
-    """SPARS (Alg. 3), or a full dictionary, put the new point in the place of an old one."""
-    full: Bool[Array, "*action"]
-    """A dictionary had no room for this correction; what was then done is the learner's `on_full`."""
-    status: Int[Array, ""]
-    """A `Status`."""
-
-    @classmethod
-    def of(cls, rate: Float[Array, " action"]) -> "Info":
-        """Of a learner without dictionaries: how far each action dimension was moved, (action_size,)."""
-        none, unknown = jnp.zeros(rate.shape, bool), jnp.full(rate.shape, jnp.nan)
-        return cls(rate, unknown, unknown, none, none, none, jnp.asarray(Status.OK, jnp.int32))
+_ADVICE = frozenset((-1.0, 0.0, 1.0))
+_TAKER = "this learner"
+_LOOPED = frozenset(("act", "correct"))
 
 
 class Learner(ByIdentity):
@@ -139,22 +90,24 @@ class Learner(ByIdentity):
 
     def act(self, state: State, obs: Vector) -> Float[Array, " action"]:
         """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
-        return _act(self, state, self._vector("obs", obs, self.obs_size))
+        return compiled.act(self, state, vector("obs", obs, self.obs_size, _TAKER))
 
     def policy_of(self, state: State) -> Policy:
         """What `state` does, as a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 
         It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
         """
-        _check_state(self, state)
+        compiled.check_state(self, state)
         return Policy(self.controller(state))
 
     def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
         """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
-        obs = self._vector("obs", obs, self.obs_size)
-        return _uncertainty(self, state, obs, self._vector("action", action, self.action_size))
+        obs = vector("obs", obs, self.obs_size, _TAKER)
+        return compiled.uncertainty(self, state, obs, vector("action", action, self.action_size, _TAKER))
 
-    def correct(self, state: State, obs: Vector, action: Vector, advice: Vector) -> tuple[State, Info]:
+    def correct(
+        self, state: State, obs: Vector, action: Vector, advice: Vector, *, donate: bool = False
+    ) -> tuple[State, Info]:
         """Learns from one correction.
 
         Args:
@@ -162,6 +115,8 @@ class Learner(ByIdentity):
             obs: (obs_size,), where the correction was given.
             action: (action_size,), the action that was executed there, clipped to [-1, 1] as `act` gives it.
             advice: (action_size,), h: -1 for less, 1 for more, 0 for no advice, which leaves that dimension untouched.
+            donate: `state` is not used any more, and its arrays may be overwritten: nothing of it is copied, and it is
+                refused if it is given again.
 
         Returns:
             The new state, of the same shapes, and what was done. A status other than `Status.OK` means that the
@@ -172,18 +127,39 @@ class Learner(ByIdentity):
                 beyond [-1, 1]. Where jax traces one of these two its value is not known: then nothing is learned, and
                 the status is `Status.INVALID`. What is not finite is `Status.NON_FINITE`, also in an action.
         """
-        advice = self._vector("advice", advice, self.action_size)
-        obs = self._vector("obs", obs, self.obs_size)
-        action = self._vector("action", action, self.action_size)
-        if not isinstance(advice, Tracer) and not np.isin(np.asarray(advice), (-1.0, 0.0, 1.0)).all():
+        advice = vector("advice", advice, self.action_size, _TAKER)
+        obs = vector("obs", obs, self.obs_size, _TAKER)
+        action = vector("action", action, self.action_size, _TAKER)
+        if not isinstance(advice, Tracer) and not _ADVICE.issuperset(np.asarray(advice).tolist()):
             raise UserError(f"advice {np.asarray(advice).tolist()}: each entry must be -1, 0 or 1")
         check_executed(action)
         if isinstance(advice, Tracer) or isinstance(action, Tracer):
             valid = ((advice == -1) | (advice == 0) | (advice == 1)).all() & ~beyond(action).any()
-            state, info = _correct(self, state, obs, action, jnp.where(valid, advice, 0.0))
+            state, info = compiled.correct(self, state, obs, action, jnp.where(valid, advice, 0.0))
             status = jnp.where(valid, info.status, Status.INVALID).astype(info.status.dtype)
             return state, dataclasses.replace(info, status=status)
-        return _correct(self, state, obs, action, advice)
+        if not self.factorises:
+            return compiled.correct(self, state, obs, action, advice, donate=donate)
+        with one_thread():
+            return jax.block_until_ready(compiled.correct(self, state, obs, action, advice, donate=donate))
+
+    def warm_up(self, state: State, *, donate: bool = False) -> threading.Thread:
+        """Compiles what `act`, `correct`, `has_room` and `grow` need, which otherwise happens when they come first.
+
+        For the room that `state` has, until this returns; then, in the thread that it returns, for twice of it, so that
+        a correction after `grow` need not wait. Nothing is learned, and `state` stays as it is.
+
+        Args:
+            state: from `init` or a correction.
+            donate: as `correct` will be called.
+
+        Returns:
+            The thread, which has begun: `join` it to wait until all is compiled. A program that ends waits for it.
+        """
+        self._run_once(state, donate)
+        thread = threading.Thread(target=self._warm_up_larger, args=(state, donate), name="gpcjax warm-up")
+        thread.start()
+        return thread
 
     def grow(self, state: State) -> State:
         """The same state with twice the room, for hosts that see `Info.full`."""
@@ -205,6 +181,11 @@ class Learner(ByIdentity):
     @property
     def goes_on_when_full(self) -> bool:
         """Whether a run goes on after a correction that was refused for want of room (`Status.FULL`)."""
+        return False
+
+    @property
+    def factorises(self) -> bool:
+        """Whether a correction factorises matrices anew: it is then computed with one thread (`gpcjax.gp.threads`)."""
         return False
 
     def largest_sigma(self) -> Float[Array, ""]:
@@ -266,8 +247,23 @@ class Learner(ByIdentity):
         """The states with a change; `place` is its place, the indices of their first axes."""
         raise NotImplementedError
 
-    def _vector(self, name: str, value: Vector, size: int) -> Any:
-        return vector(name, value, size, "this learner")
+    def _run_once(self, state: State, donate: bool) -> None:
+        """All that a loop calls, without advice."""
+        obs, none = np.zeros(self.obs_size), np.zeros(self.action_size)
+        self.act(state, obs)
+        self.has_room(state)
+        # One that is given away is a copy: `state` is somebody's.
+        spare = jax.tree.map(jnp.copy, state) if donate else state
+        jax.block_until_ready(self.correct(spare, obs, none, none, donate=donate))
+
+    def _warm_up_larger(self, state: State, donate: bool) -> None:
+        larger = self.grow(state) if self.wants_room else state
+        if jax.tree.map(jnp.shape, larger) != jax.tree.map(jnp.shape, state):
+            self._run_once(larger, donate)
+
+    def __getattribute__(self, name: str) -> Any:
+        # equinox makes a module of each method that is looked up, which takes longer than to act: a loop's two are not.
+        return object.__getattribute__(self, name) if name in _LOOPED else super().__getattribute__(name)
 
 
 class Proposing(Controller):
@@ -289,65 +285,3 @@ class Proposing(Controller):
         for _ in range(obs.ndim - 1):
             propose = jax.vmap(propose, in_axes=-1, out_axes=-1)
         return propose(self.learner, self.state, obs)
-
-
-@eqx.filter_jit
-def _act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
-    _check_precision(learner, state)
-    return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
-
-
-@eqx.filter_jit
-def _uncertainty(
-    learner: Learner, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
-) -> Float[Array, " action"]:
-    _check_precision(learner, state)
-    return learner._uncertainty(state, obs, action)
-
-
-@eqx.filter_jit
-def _correct(
-    learner: Learner,
-    state: State,
-    obs: Float[Array, " obs"],
-    action: Float[Array, " action"],
-    advice: Float[Array, " action"],
-) -> tuple[State, Info]:
-    # One dimension after the other, as in the engine: each is a correction of its own.
-    _check_precision(learner, state)
-    if learner.joint:
-        here = Moment(obs=obs, action=action, episode=jnp.int32(0), step=jnp.int32(0))
-        return learner._learn(state, here, advice, jax.random.key(0))
-
-    def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
-        dimension, action, advice = given
-        change, info = learner._correct(state, (dimension,), obs, action, advice)
-        return learner._write(state, (dimension,), change), info
-
-    state, info = lax.scan(one, state, (jnp.arange(learner.action_size), action, advice))
-    return state, dataclasses.replace(info, status=info.status.max())
-
-
-def _check_state(learner: Learner, state: State) -> None:
-    """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
-    expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
-    alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
-        getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
-        for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
-    )
-    if not alike:
-        raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
-
-
-def _check_precision(learner: Learner, state: State) -> None:
-    """Refuses a state whose numbers were cast, whoever did it, or of another kind."""
-    _check_state(learner, state)
-    given, kept = (
-        {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
-        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(jax.random.key(0))))
-    )
-    if given - kept:
-        raise ValueError(
-            f"the learner's state holds {', '.join(sorted(given))}, where init gives {', '.join(sorted(kept))}: "
-            "cast it back, or teach from the start"
-        )

@@ -104,10 +104,7 @@ class GPC(Learner):
 
     def resize(self, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
         """The same state with room for these many points in each policy and each human model."""
-        return GPCState(
-            policy=jax.vmap(lambda posterior: self.policy.grow(posterior, policy_capacity))(state.policy),
-            human=jax.vmap(lambda posterior: self.human.grow(posterior, human_capacity))(state.human),
-        )
+        return _resized(self, state, policy_capacity, human_capacity)
 
     def controller(self, state: GPCState) -> KernelController:
         """The policy of `state`, ready for many steps."""
@@ -134,6 +131,10 @@ class GPC(Learner):
         return jnp.sqrt(self.human.prior)
 
     @property
+    def factorises(self) -> bool:
+        return self.policy.normalise or self.human.normalise
+
+    @property
     def wants_room(self) -> bool:
         return self.on_full == "error"
 
@@ -143,11 +144,7 @@ class GPC(Learner):
 
     def init(self, key: PRNGKeyArray | None = None) -> GPCState:
         """The idle policy: its action is 0 everywhere. Nothing is drawn."""
-        unscaled = jnp.ones(1)  # the action is not scaled in GPC
-        policy = self.policy.init(self.policy_capacity, self.scaling)
-        human = self.human.init(self.human_capacity, jnp.concatenate([self.scaling, unscaled]))
-        repeat = lambda leaf: jnp.broadcast_to(leaf, (self.action_size, *leaf.shape))  # noqa: E731
-        return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
+        return _untaught(self)
 
     def _uncertainty(self, state, obs, action):
         def one(each: tuple[Posterior, Float[Array, ""]]) -> Float[Array, ""]:
@@ -215,3 +212,24 @@ class GPC(Learner):
 def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, " pair"]:
     """Z = (s, a), the human model's input (3.2)."""
     return jnp.concatenate([obs, action[None]])
+
+
+# These two are compiled as a whole, as their operations one by one take a second; inline: part of a larger program they
+# are what they are without it.
+
+
+@eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]  (what it takes beyond is for jax.jit)
+def _untaught(learner: GPC) -> GPCState:
+    unscaled = jnp.ones(1)  # the action is not scaled in GPC
+    policy = learner.policy.init(learner.policy_capacity, learner.scaling)
+    human = learner.human.init(learner.human_capacity, jnp.concatenate([learner.scaling, unscaled]))
+    repeat = lambda leaf: jnp.broadcast_to(leaf, (learner.action_size, *leaf.shape))  # noqa: E731
+    return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
+
+
+@eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]  (what it takes beyond is for jax.jit)
+def _resized(learner: GPC, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
+    return GPCState(
+        policy=jax.vmap(lambda posterior: learner.policy.grow(posterior, policy_capacity))(state.policy),
+        human=jax.vmap(lambda posterior: learner.human.grow(posterior, human_capacity))(state.human),
+    )

@@ -1,4 +1,4 @@
-"""What acts: a controller, and the policy that clips it."""
+"""What acts in jax: a controller, and how the policy that clips it (`gpcjax.policies.policy`) is part of jax."""
 
 import abc
 from typing import Any
@@ -6,16 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from gpcjax._x64 import set_public_methods_under_own_settings
-from gpcjax.allowed import is_no_data, shown
-from gpcjax.errors import UserError
-
-Vector = Any
-"""Real numbers as a person gives them: a list, a numpy or a jax array of one axis, traced or not. See `vector`."""
+from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
+from gpcjax.policies.policy import Policy as Policy
+from gpcjax.policies.vectors import Vector as Vector
+from gpcjax.policies.vectors import beyond as beyond
+from gpcjax.policies.vectors import check_executed as check_executed
+from gpcjax.policies.vectors import vector as vector
 
 
 class Computing(eqx.Module):
@@ -73,20 +71,14 @@ class Planner(ByIdentity):
         """The same for a jax array."""
 
 
-class Policy(ByIdentity):
-    """A controller as a function of the observation, (obs_size,) -> (action_size,) in [-1, 1].
-
-    It compiles itself when it is called directly, and may be used inside jit, vmap and scan. The observation may be a
-    list, a numpy or a jax array.
+@under_own_settings
+def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
+    """The action of a controller at one observation, clipped to [-1, 1]: compiled, or part of what jax traces.
 
     Raises:
         ValueError: an observation of another shape, or one that holds no real numbers.
     """
-
-    controller: Controller
-
-    def __call__(self, obs: Vector) -> Float[Array, " action"]:
-        return _act(self.controller, vector("obs", obs, self.controller.obs_size, "this policy"))
+    return _act(controller, vector("obs", obs, controller.obs_size, "this policy"))
 
 
 # Inline: where a policy is part of a larger program, that program is the same as without this function.
@@ -95,63 +87,9 @@ def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
     return jnp.clip(controller(obs), -1.0, 1.0)
 
 
-def vector(name: str, value: Vector, size: int, taker: str) -> Any:
-    """`value` as float64 of shape (size,), on the host unless it is jax's already: what is compiled takes either.
-
-    Args:
-        name, taker: of the message: what it is, and who takes it.
-        value: a list, a numpy or a jax array of real numbers, also one that jax traces, or a list of those.
-        size: how long it must be.
-
-    Raises:
-        ValueError: another shape, or anything but real numbers (no truth values, no complex numbers, no text, no spans
-            of time, no masked entries).
-    """
-    array = value if isinstance(value, jax.Array) else _host(value)
-    if array is None or not _real(array.dtype):
-        raise UserError(f"{name} {shown(value)}: {taker} takes {size} real numbers")
-    if array.shape != (size,):
-        raise UserError(f"{name} has shape {array.shape}, {taker} takes ({size},)")
-    return array if array.dtype == np.float64 else array.astype(np.float64)
-
-
-def beyond(action: Any) -> Any:
-    """Whether each entry of an action, traced or not, is a number beyond [-1, 1]: no such action is ever executed.
-
-    What is no number is another matter, and of what follows from it.
-    """
-    size = abs(action)
-    return (size > 1.0) & (size < np.inf)
-
-
-def check_executed(action: Any) -> None:
-    """Refuse an executed action, a checked vector, that is beyond [-1, 1]. One that jax traces passes.
-
-    Raises:
-        UserError: it is.
-    """
-    if not isinstance(action, Tracer) and beyond(np.asarray(action)).any():
-        raise UserError(
-            f"action {shown(np.asarray(action).tolist())}: each entry must be from -1 to 1, "
-            "as it was executed: clip it"
-        )
-
-
-def _real(dtype: Any) -> bool:
-    # numpy counts spans of time among the integers.
-    return jnp.issubdtype(dtype, np.floating) or (jnp.issubdtype(dtype, np.integer) and dtype.kind != "m")
-
-
-def _host(value: Vector) -> Array | np.ndarray | None:
-    """An array of what is none yet, or None where there is no such array of data."""
-    if any(map(is_no_data, value if isinstance(value, list | tuple) else (value,))):
-        return None
-    if isinstance(value, list | tuple) and any(isinstance(each, Tracer) for each in value):
-        try:
-            return jnp.stack(value)
-        except (TypeError, ValueError):
-            return None
-    try:
-        return np.asarray(value)
-    except (TypeError, ValueError):  # of several lengths, or an object that refuses
-        return None
+jax.tree_util.register_pytree_with_keys(
+    Policy,
+    lambda policy: (((jax.tree_util.GetAttrKey("controller"), policy.controller),), None),
+    lambda _, children: Policy(*children),
+    lambda policy: ((policy.controller,), None),
+)

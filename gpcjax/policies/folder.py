@@ -8,7 +8,6 @@ No file runs code when it is read, and none can make its reader take more memory
 """
 
 import contextlib
-import gc
 import hashlib
 import json
 import math
@@ -16,7 +15,6 @@ import os
 import shutil
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -34,8 +32,8 @@ LARGEST_CARD = 2**22
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
 
-LEFT_SECONDS = 1.0
-"""In which other reads end that were under way when one failed: they take milliseconds, more on a busy machine."""
+_ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
+"""The file with which an array says what it is, and the driver that reads one of its kind."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -125,39 +123,41 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
     """
     folder = checked_path("path", path) / ARRAYS
     shapes = _shapes(card, folder.parent / CARD, what)
-    with _quietly():
-        arrays, wrong = _restored(folder, shapes)
-        if wrong:
-            # What orbax has left complains when it is freed: here, and not at some later time.
-            _ask_for_exceptions()
-            gc.collect()
-    # Raised where no exception of orbax's is around, which would keep all that alive.
+    arrays, wrong = _stored(folder, shapes)
+    # Raised where no exception of tensorstore's is around, which says the same at length.
     if wrong:
         raise UserError(f"{folder}: the arrays of this {what} cannot be read ({wrong})")
     return arrays
 
 
-def _restored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
-    """The arrays of a checkpoint, and what is wrong with them."""
-    reads = False
+def _stored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
+    """The arrays of a checkpoint, and what is wrong with them.
+
+    Read by tensorstore, which orbax writes them with: orbax itself loads jax, and takes half a second to do it.
+    """
+    import tensorstore  # only where a folder is read
+
     try:
-        with _checkpointer() as checkpointer:
-            # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
-            stored = checkpointer.metadata(folder.absolute()).item_metadata
-            found = {name: tuple(value.shape) for name, value in dict(stored.tree).items()}
-            if found != shapes:
-                return {}, f"the card names arrays of shapes {shapes}, these have {found}"[:200]
-            empty = {
-                name: np.broadcast_to(np.zeros((), value.dtype), value.shape)
-                for name, value in stored.tree.items()
-            }
-            reads = True
-            arrays = checkpointer.restore(folder.absolute(), empty)
-    except Exception as error:  # orbax, tensorstore and the file system each have their own
-        if reads:  # those of other arrays end now, find nobody who waits for them, and complain
-            time.sleep(LEFT_SECONDS)
+        place = {"driver": "ocdbt", "base": {"driver": "file", "path": f"{folder.absolute()}/"}}
+        keys = [key.decode() for key in tensorstore.KvStore.open(place).result().list().result()]
+        formats = {
+            name: _ZARR[file] for name, _, file in (key.rpartition("/") for key in keys) if file in _ZARR
+        }
+        asked = {
+            name: tensorstore.open(
+                {"driver": driver, "kvstore": {**place, "path": f"{name}/"}}, open=True, read=True
+            )
+            for name, driver in formats.items()
+        }
+        arrays = {name: each.result() for name, each in asked.items()}
+        # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
+        found = {name: tuple(array.shape) for name, array in arrays.items()}
+        if found != dict(shapes):
+            return {}, f"the card names arrays of shapes {dict(shapes)}, these have {found}"[:200]
+        read = {name: array.read() for name, array in arrays.items()}
+        return {name: np.asarray(read[name].result()) for name in shapes}, ""
+    except Exception as error:  # tensorstore and the file system each have their own
         return {}, first_line(error)
-    return {name: np.asarray(value) for name, value in arrays.items()}, ""
 
 
 def first_line(error: BaseException) -> str:
@@ -259,23 +259,6 @@ def _to_disk(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _ask_for_exceptions() -> None:
-    """Asks the tasks of loops that do not run how they ended.
-
-    The first array that cannot be read ends orbax's loop, and nobody asks for the exceptions of the others. A thread of
-    tensorstore's may hold their tasks for longer than a moment; asyncio complains when such a task is freed, unless
-    somebody has asked.
-    """
-    import asyncio
-
-    for each in gc.get_objects():
-        # By its type: what only pretends to be of another class may do anything when it is asked.
-        if not issubclass(type(each), asyncio.Future) or each.get_loop().is_running():
-            continue
-        if each.done() and not each.cancelled():
-            each.exception()
-
-
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
     """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
@@ -295,6 +278,6 @@ def _quietly() -> Iterator[None]:
 
 
 def _checkpointer() -> Any:
-    import orbax.checkpoint  # costs more than everything else here: only where a folder is read or written
+    import orbax.checkpoint  # costs more than everything else here: only where a folder is written
 
     return orbax.checkpoint.StandardCheckpointer()

@@ -9,55 +9,20 @@ arrays          the shape of each array
 provenance      where the policy comes from
 """
 
-import itertools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from gpcjax._x64 import under_own_settings
 from gpcjax.errors import UserError
-from gpcjax.gp.kernels import SMOOTHNESSES, SQUARED_EXPONENTIAL
-from gpcjax.policies.base import Controller, Policy
 from gpcjax.policies.folder import CARD, FORMAT, FORMATS, Shapes, read_arrays, read_card, write_folder
-from gpcjax.policies.grid import Grid, GridController
-from gpcjax.policies.kernel import KernelController
-from gpcjax.policies.network import NetworkController, SquashedNetwork
-
-MOST_LAYERS = 64
-"""Of a network: what is more is no card of ours."""
-
-Arrays = Mapping[str, np.ndarray]
-Settings = Mapping[str, Any]
+from gpcjax.policies.kinds import KINDS, Arrays, Kind, Settings
+from gpcjax.policies.kinds import Unfit as Unfit
+from gpcjax.policies.policy import Controller, Policy
 
 
-@dataclass(frozen=True)
-class Kind:
-    """How controllers of one type are kept.
-
-    Fields:
-        type: of the controllers.
-        write: a controller without lanes -> what its card says beside the arrays (JSON values), and the arrays.
-        shapes: what the card says, obs_size, action_size, and the shapes it names -> the shapes there must be. What the
-            sizes do not settle, such as the number of points, comes from those it names. Raises `Unfit`.
-        read: what the card says, and the arrays (finite float64, of those shapes) -> the controller. Raises `Unfit`.
-    """
-
-    type: type[Controller]
-    write: Callable[[Any], tuple[dict[str, Any], dict[str, np.ndarray]]]
-    shapes: Callable[[Settings, int, int, Shapes], Shapes]
-    read: Callable[[Settings, Arrays], Controller]
-
-
-class Unfit(Exception):
-    """What a card or its arrays say makes no controller; the message says why."""
-
-
-@under_own_settings
 def save_controller(path: Any, controller: Controller, provenance: Mapping[str, Any]) -> None:
     """Writes a controller without lanes; `provenance` (JSON values, or numpy's numbers) goes into the card.
 
@@ -72,10 +37,11 @@ def save_controller(path: Any, controller: Controller, provenance: Mapping[str, 
 
 def has_format(controller: Controller) -> bool:
     """Whether `pack_controller` takes controllers of this type."""
-    return any(type(controller) is kind.type for kind in KINDS.values())
+    from gpcjax.policies.counterparts import has_counterpart
+
+    return has_counterpart(controller)
 
 
-@under_own_settings
 def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What a folder keeps of a controller without lanes, for whoever keeps it elsewhere.
 
@@ -85,11 +51,14 @@ def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, n
         ValueError: the controller is not finite, or has lanes.
         TypeError: there is no format for such a controller.
     """
-    name = next((name for name, kind in KINDS.items() if type(controller) is kind.type), None)
-    if name is None:
+    from gpcjax.policies.counterparts import in_numpy  # loads jax, which whoever has a controller has
+
+    plain = in_numpy(controller)
+    if plain is None:
         raise TypeError(f"no format for a {type(controller).__name__}")
-    settings, arrays = KINDS[name].write(controller)
-    sizes = {"obs_size": controller.obs_size, "action_size": controller.action_size}
+    name = next(name for name, kind in KINDS.items() if kind.holds(plain))
+    settings, arrays = KINDS[name].write(plain)
+    sizes = {"obs_size": plain.obs_size, "action_size": plain.action_size}
     card = {"kind": name, **settings, **sizes}
     try:
         _check(KINDS[name], card, {key: value.shape for key, value in arrays.items()}, arrays)
@@ -98,11 +67,10 @@ def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, n
     return {"format": FORMAT, **card}, arrays
 
 
-@under_own_settings
 def load_policy(path: Any) -> Policy:
     """The policy saved at `path`, a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 
-    It may be called directly, or inside jit and vmap.
+    It may be called directly, which loads no jax (see `Policy`), or inside jit and vmap.
 
     Raises:
         ValueError: there is no policy at `path`, one of another format, or one that is damaged; the message names the
@@ -115,7 +83,6 @@ def load_policy(path: Any) -> Policy:
         raise UserError(f"{Path(path)}: this policy is damaged ({error})") from None
 
 
-@under_own_settings
 def unpack_policy(card: Settings, arrays: Arrays) -> Policy:
     """The policy that was packed (`pack_controller`).
 
@@ -126,7 +93,7 @@ def unpack_policy(card: Settings, arrays: Arrays) -> Policy:
     if card.get("format") not in FORMATS or not isinstance(kind, str) or kind not in KINDS:
         raise Unfit(f"format {FORMAT} and as kind {' or '.join(KINDS)} are needed")
     _check(KINDS[kind], card, {name: value.shape for name, value in arrays.items()}, arrays)
-    return Policy(KINDS[kind].read(card, arrays))
+    return Policy.of(KINDS[kind].read(card, arrays))
 
 
 def load_card(path: Any) -> dict[str, Any]:
@@ -181,118 +148,3 @@ def shipped_path(name: str) -> Path:
 def load_shipped(name: str) -> Policy:
     """An oracle that was learned: by GPC itself or, a network, by reinforcement. See its card (`make oracles`)."""
     return load_policy(shipped_path(name))
-
-
-def _write_kernel(controller: KernelController) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    used = np.asarray(controller.weights != 0).any(0)
-    kept = max(1, int(np.flatnonzero(used).max(initial=0)) + 1)
-    arrays = {
-        "points": np.asarray(controller.points)[:, :kept],
-        "weights": np.asarray(controller.weights)[:, :kept],
-        "scale": np.asarray(controller.scale),
-    }
-    smooth = "infinity" if controller.smoothness == SQUARED_EXPONENTIAL else controller.smoothness
-    return {"smoothness": smooth}, arrays
-
-
-def _kernel_shapes(settings: Settings, obs_size: int, action_size: int, named: Shapes) -> Shapes:
-    points = named.get("weights", ())[1:2] or (0,)
-    if points[0] < 1:
-        raise Unfit("weights for at least one point are needed")
-    _smoothness(settings)
-    return {
-        "points": (action_size, *points, obs_size),
-        "weights": (action_size, *points),
-        "scale": (action_size, obs_size),
-    }
-
-
-def _read_kernel(settings: Settings, arrays: Arrays) -> Controller:
-    return KernelController(**_on_device(arrays), smoothness=_smoothness(settings))
-
-
-def _smoothness(settings: Settings) -> float:
-    """JSON has no infinity: the squared exponential's is a word. Format 1 wrote what json made of it."""
-    given = settings.get("smoothness")
-    value = SQUARED_EXPONENTIAL if given == "infinity" else given
-    if type(value) is not float or value not in SMOOTHNESSES:
-        raise Unfit(f'smoothness {str(given)[:20]}: 0.5, 1.5, 2.5 or "infinity" is needed')
-    return value
-
-
-def _write_grid(controller: GridController) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    grid = controller.grid
-    arrays = {
-        "weights": np.asarray(controller.weights),
-        "lower": np.asarray(grid.lower),
-        "upper": np.asarray(grid.upper),
-    }
-    return {"counts": list(grid.counts)}, arrays
-
-
-def _grid_shapes(settings: Settings, obs_size: int, action_size: int, named: Shapes) -> Shapes:
-    counts = settings.get("counts")
-    if not isinstance(counts, list) or not all(type(count) is int and count >= 2 for count in counts):
-        raise Unfit("counts: a list of whole numbers of at least 2 is needed")
-    if len(counts) != obs_size:
-        raise Unfit(f"{len(counts)} counts for obs_size {obs_size}")
-    return {"weights": (action_size, *counts), "lower": (obs_size,), "upper": (obs_size,)}
-
-
-def _read_grid(settings: Settings, arrays: Arrays) -> Controller:
-    if not (arrays["lower"] < arrays["upper"]).all():
-        raise Unfit("lower must be below upper")
-    values = _on_device(arrays)
-    grid = Grid(lower=values["lower"], upper=values["upper"], counts=tuple(settings["counts"]))
-    return GridController(weights=values["weights"], grid=grid)
-
-
-def _write_network(controller: NetworkController) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    layers = enumerate(zip(controller.weights, controller.biases, strict=True), 1)
-    arrays = {
-        f"{name}_{layer}": np.asarray(value)
-        for layer, pair in layers
-        for name, value in zip(("weights", "biases"), pair, strict=True)
-    }
-    return {"layers": len(controller.weights)}, arrays
-
-
-def _network_shapes(settings: Settings, obs_size: int, action_size: int, named: Shapes) -> Shapes:
-    layers = settings.get("layers")
-    if type(layers) is not int or not 1 <= layers <= MOST_LAYERS:
-        raise Unfit(f"layers {str(layers)[:20]}: a whole number from 1 to {MOST_LAYERS} is needed")
-    widths = [(*named.get(f"biases_{layer}", ()), 0)[0] for layer in range(1, layers)]
-    if min(widths, default=1) < 1:
-        raise Unfit("biases for at least one unit in each layer are needed")
-    sizes = [obs_size, *widths, action_size]
-    return {
-        name: shape
-        for layer, (inputs, outputs) in enumerate(itertools.pairwise(sizes), 1)
-        for name, shape in ((f"weights_{layer}", (outputs, inputs)), (f"biases_{layer}", (outputs,)))
-    }
-
-
-def _read_network(settings: Settings, arrays: Arrays) -> NetworkController:
-    values, layers = _on_device(arrays), range(1, settings["layers"] + 1)
-    return NetworkController(
-        weights=tuple(values[f"weights_{layer}"] for layer in layers),
-        biases=tuple(values[f"biases_{layer}"] for layer in layers),
-    )
-
-
-def _on_device(arrays: Arrays) -> dict[str, Any]:
-    return {name: jnp.asarray(value) for name, value in arrays.items()}
-
-
-KINDS: Mapping[str, Kind] = {
-    "kernel": Kind(KernelController, _write_kernel, _kernel_shapes, _read_kernel),
-    "grid": Kind(GridController, _write_grid, _grid_shapes, _read_grid),
-    "network": Kind(NetworkController, _write_network, _network_shapes, _read_network),
-    "squashed-network": Kind(
-        SquashedNetwork,
-        lambda controller: _write_network(controller.network),
-        _network_shapes,
-        lambda settings, arrays: SquashedNetwork(_read_network(settings, arrays)),
-    ),
-}
-"""By the name in the card."""

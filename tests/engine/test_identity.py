@@ -68,6 +68,11 @@ def test_what_differs_by_value_is_told_apart(one, other):
     assert digest(one, ()) != digest(other, ())
 
 
+def test_a_saved_policy_is_told_by_its_numbers(tmp_path):
+    one, other = (make_expert("cartpole", name) for name in ("gpc", "gpc-2"))
+    assert digest(one, ()) == digest(make_expert("cartpole", "gpc"), ()) != digest(other, ())
+
+
 def test_arguments_differ_by_shape_and_type_alone():
     assert digest((), np.zeros(3)) == digest((), np.ones(3)) == digest((), jnp.ones(3))
     assert digest((), np.zeros(3)) != digest((), np.zeros(4))

@@ -70,8 +70,6 @@ def test_any_changed_byte_is_found(tmp_path, learner, what):
         shutil.rmtree(path)
 
 
-# A thread of orbax's that comes too late speaks to a loop that is closed, which pytest finds at some later time.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("change", ["cut", "flip", "remove"])
 def test_nothing_else_reaches_the_terminal(tmp_path, learner, change, capfd, caplog):
     """With sums that fit, so that the checkpoint itself is read; also nothing later, when what it left is freed."""

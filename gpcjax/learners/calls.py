@@ -1,0 +1,102 @@
+"""Methods of learners called from Python, once for each step or correction of somebody's own loop.
+
+`equinox.filter_jit` takes learner and state apart at each call, sorts what is no array from what is, hashes that: 2 ms
+of a correction that computes for one. Here that is done once for each learner and each structure of a state; a call
+flattens the state, and hands its arrays to a compiled function.
+"""
+
+import functools
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from gpcjax.errors import UserError
+
+Function = Callable[..., Any]
+
+
+class Called:
+    """A function of a learner, its state and vectors, compiled for each structure of the first two."""
+
+    def __init__(self, function: Function):
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._otherwise = eqx.filter_jit(function)
+        self._programs: dict[Any, Function] = {}
+
+    def __call__(self, learner: Any, state: Any, *vectors: Any, donate: bool = False) -> Any:
+        """What the function gives.
+
+        With `donate` the arrays of `state` may be overwritten: where all are arrays of jax's, and no other's too.
+
+        Raises:
+            UserError: `state` was given away before.
+        """
+        leaves, form = jax.tree.flatten(state)
+        learners = _apart(learner)
+        if learners is None or not (_are_arrays(leaves) and _are_arrays(vectors)):
+            # Part of what jax traces, or something to be refused: where it is traced, as ever.
+            return self._otherwise(learner, state, *vectors)
+        if leaves and isinstance(leaves[0], jax.Array) and leaves[0].is_deleted():
+            raise UserError("state: it was given away (donate), use the one that came of it")
+        numbers, kind = learners
+        donate = donate and _can_be_given(leaves, numbers)
+        key = kind, form, donate
+        program = self._programs.get(key)
+        if program is None:
+            program = self._programs[key] = self._program(*key)
+        return program(numbers, leaves, *vectors)
+
+    def _program(self, kind: Any, form: Any, donate: bool) -> Function:
+        @functools.wraps(self._function)
+        def run(numbers: list[Any], leaves: list[Any], *vectors: Any) -> Any:
+            learner, state = jax.tree.unflatten(kind, numbers), jax.tree.unflatten(form, leaves)
+            return self._function(learner, state, *vectors)
+
+        del run.__wrapped__  # whose signature has other names: jax looks it up
+        return jax.jit(run, donate_argnums=(1,) if donate else ())
+
+
+_known: "weakref.WeakKeyDictionary[Any, tuple[list[Any], Any] | None]" = weakref.WeakKeyDictionary()
+
+
+def _apart(learner: Any) -> tuple[list[Any], Any] | None:
+    """The arrays of a learner, which never change, and what else it is; None where that is not all."""
+    try:
+        return _known[learner]
+    except KeyError:
+        pass
+    leaves, kind = jax.tree.flatten(learner)
+    found = (leaves, kind) if _are_arrays(leaves) else None
+    _known[learner] = found
+    return found
+
+
+_concrete: set[type] = {np.ndarray}
+"""Types of arrays that hold numbers, as they are met: to ask jax of each array takes longer than the call."""
+
+
+def _are_arrays(leaves: Sequence[Any]) -> bool:
+    """Whether each is an array that holds numbers, of numpy's or of jax's."""
+    for new in set(map(type, leaves)) - _concrete:
+        if issubclass(new, Tracer) or not all(
+            isinstance(leaf, jax.Array) for leaf in leaves if type(leaf) is new
+        ):
+            return False
+        _concrete.add(new)
+    return True
+
+
+def _can_be_given(leaves: Sequence[Any], others: Sequence[Any]) -> bool:
+    """Whether each of these arrays is jax's, and is there once."""
+    known = set(map(id, leaves))
+    return (
+        len(known) == len(leaves)
+        and known.isdisjoint(map(id, others))
+        and not any(isinstance(leaf, np.ndarray) for leaf in leaves)
+    )

@@ -1,0 +1,85 @@
+"""What a learner's methods compute, compiled when they are called from Python; and what refuses another one's state."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, PyTree
+
+from gpcjax.allowed import shown
+from gpcjax.errors import UserError
+from gpcjax.learners.calls import Called
+from gpcjax.learners.info import Info
+from gpcjax.moment import Moment
+
+Learner = Any
+"""A `gpcjax.learners.base.Learner`, whose methods call these."""
+State = PyTree
+
+
+@Called
+def act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    """The action at `obs`, in [-1, 1]."""
+    _check_precision(learner, state)
+    return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
+
+
+@Called
+def uncertainty(
+    learner: Learner, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
+) -> Float[Array, " action"]:
+    """sigma_h at (obs, action)."""
+    _check_precision(learner, state)
+    return learner._uncertainty(state, obs, action)
+
+
+@Called
+def correct(
+    learner: Learner,
+    state: State,
+    obs: Float[Array, " obs"],
+    action: Float[Array, " action"],
+    advice: Float[Array, " action"],
+) -> tuple[State, Info]:
+    """What `state` becomes with one correction of arguments that were checked, and what was done."""
+    # One dimension after the other, as in the engine: each is a correction of its own.
+    _check_precision(learner, state)
+    if learner.joint:
+        here = Moment(obs=obs, action=action, episode=jnp.int32(0), step=jnp.int32(0))
+        return learner._learn(state, here, advice, jax.random.key(0))
+
+    def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
+        dimension, action, advice = given
+        change, info = learner._correct(state, (dimension,), obs, action, advice)
+        return learner._write(state, (dimension,), change), info
+
+    state, info = lax.scan(one, state, (jnp.arange(learner.action_size), action, advice))
+    return state, dataclasses.replace(info, status=info.status.max())
+
+
+def check_state(learner: Learner, state: State) -> None:
+    """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
+    expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
+    alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
+        getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
+        for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
+    )
+    if not alike:
+        raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+
+
+def _check_precision(learner: Learner, state: State) -> None:
+    """Refuses a state whose numbers were cast, whoever did it, or of another kind."""
+    check_state(learner, state)
+    given, kept = (
+        {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
+        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(jax.random.key(0))))
+    )
+    if given - kept:
+        raise ValueError(
+            f"the learner's state holds {', '.join(sorted(given))}, where init gives {', '.join(sorted(kept))}: "
+            "cast it back, or teach from the start"
+        )

@@ -1,0 +1,185 @@
+"""Calls from Python: compiled once for each structure, and what is given away is not copied."""
+
+import contextlib
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import threadpoolctl
+
+import gpcjax
+from gpcjax.gp.threads import one_thread
+from gpcjax.learners.factory import make_learner
+from tests.trees import assert_same_bits
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+@contextlib.contextmanager
+def compilations():
+    """How many programs are compiled meanwhile, as the length of a list."""
+    heard = []
+    hear = lambda event, seconds, **_: heard.append(seconds) if event == COMPILED else None  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(hear)
+    try:
+        yield heard
+    finally:
+        jax.monitoring.unregister_event_duration_listener(hear)
+
+
+class Counting(gpcjax.Learner):
+    """Adds up advice, and counts how often it is traced."""
+
+    step_size: jax.Array = eqx.field(default=0.5, converter=gpcjax.parameter)
+    traces: list = eqx.field(static=True, default_factory=list)
+
+    def init(self, key=None):
+        return {"total": jnp.zeros(self.action_size), "step_size": self.step_size}
+
+    def propose(self, state, obs):
+        self.traces.append("propose")
+        return state["total"] + 0.0 * obs.sum()
+
+    def learn(self, state, moment, advice, key):
+        self.traces.append("learn")
+        change = self.step_size * advice
+        return {**state, "total": state["total"] + change}, gpcjax.Info.of(rate=jnp.abs(change))
+
+
+def counting(**values):
+    return Counting(obs_size=2, action_size=1, **values)
+
+
+def teach(learner, state, times=3, **options):
+    rng, infos = np.random.default_rng(0), []
+    for _ in range(times):
+        obs = rng.normal(size=learner.obs_size)
+        state, info = learner.correct(
+            state, obs, learner.act(state, obs), [1] * learner.action_size, **options
+        )
+        infos.append(info)
+    return state, infos
+
+
+def test_one_trace_for_each_structure():
+    """Whatever the numbers are, and in any process of numpy's or of jax's."""
+    learner = counting()
+    state, _ = teach(learner, learner.init())
+    assert learner.traces == ["propose", "learn"]
+    again = jax.tree.map(lambda leaf: 2.0 * leaf, learner)
+    assert again.traces is learner.traces
+    found, _ = teach(again, jax.tree.map(np.asarray, state), 1)
+    assert learner.traces == ["propose", "learn"] and found["total"] == state["total"] + 1.0
+    # The step size is a number of the program, not of the state it was traced with.
+    assert float(teach(again, again.init())[0]["total"][0]) == 3.0
+    assert learner.traces == ["propose", "learn"]
+
+
+def test_other_settings_are_other_programs():
+    """Structures that differ in what is static, with states that do not."""
+    for on_full in ("error", "drop"):
+        learner = make_learner("gpc", obs_size=1, action_size=1, capacity=2, on_full=on_full, sparsify=False)
+        _, infos = teach(learner, learner.init(), 3)
+        assert [int(info.status) for info in infos] == [0, 0, gpcjax.learners.base.Status.FULL]
+    learner = make_learner("gpc", obs_size=1, action_size=1, capacity=2, on_full="replace-nearest")
+    assert [int(info.status) for info in teach(learner, learner.init(), 3)[1]] == [0, 0, 0]
+
+
+def test_inside_jit_it_is_what_it_is_outside():
+    learner = make_learner("gpc", obs_size=2, action_size=2, capacity=8)
+    state, _ = teach(learner, learner.init(), 2)
+    arguments = state, np.array([0.3, -0.2]), np.zeros(2), np.array([1.0, -1.0])
+    inside, outside = jax.jit(learner.correct)(*arguments), learner.correct(*arguments)
+    for one, other in zip(jax.tree.leaves(inside), jax.tree.leaves(outside), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jax.jit(learner.act)(state, arguments[1]), learner.act(state, arguments[1]), rtol=0, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("algo", ["gpc", "coach", "own"])
+def test_what_is_given_away_is_learned_from_alike_and_gone(algo, capfd):
+    options = {"capacity": 16} if algo == "gpc" else {"lower": -1, "upper": 1, "counts": (2, 3)}
+    learner = counting() if algo == "own" else make_learner(algo, obs_size=2, action_size=1, **options)
+    kept, infos = teach(learner, learner.init())
+    given, others = teach(learner, learner.init(), donate=True)
+    assert_same_bits((given, others), (kept, infos))
+    learner.correct(given, np.zeros(2), [0.0], [1], donate=True)
+    for use in (lambda: learner.act(given, [0, 0]), lambda: learner.correct(given, [0, 0], [0], [1])):
+        with pytest.raises(
+            ValueError, match=r"^state: it was given away \(donate\), use the one that came of it$"
+        ):
+            use()
+    assert capfd.readouterr() == ("", "")
+    assert_same_bits(
+        learner.correct(kept, np.zeros(2), [0.0], [1])[0], learner.correct(kept, [0, 0], [0], [1])[0]
+    )
+
+
+def test_an_array_that_is_there_twice_is_not_given_away():
+    learner = make_learner("coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=(3,))
+    start = learner.init()
+    twice = eqx.tree_at(lambda state: state.human, start, start.policy)
+    expected = learner.correct(start, [0.2], [0.0], [1])
+    assert_same_bits(learner.correct(twice, [0.2], [0.0], [1], donate=True), expected)
+    assert_same_bits(twice, start)
+
+
+@pytest.mark.parametrize("state", [3, None, "state", {}, [np.zeros(3)]], ids=repr)
+def test_what_is_no_state_is_refused(state):
+    learner = make_learner("gpc", obs_size=2, action_size=1, capacity=8)
+    for call in (
+        lambda: learner.act(state, [0.0, 0.0]),
+        lambda: learner.correct(state, [0.0, 0.0], [0.0], [1]),
+        lambda: learner.correct(state, [0.0, 0.0], [0.0], [1], donate=True),
+        lambda: learner.warm_up(state),
+    ):
+        with pytest.raises(ValueError, match=r"^state .*: give a state of this learner"):
+            call()
+
+
+def test_after_warming_up_nothing_is_compiled():
+    learner = make_learner("gpc", obs_size=2, action_size=1, capacity=3, sparsify=False)
+    state = learner.init()
+    with compilations() as before:
+        learner.warm_up(state, donate=True).join()
+    assert len(before) > 3
+    with compilations() as after:
+        state, _ = teach(learner, state, 3, donate=True)
+        while learner.has_room(state):
+            state, _ = teach(learner, state, 1, donate=True)
+        state, infos = teach(learner, learner.grow(state), 1, donate=True)
+    assert not after and infos[0].appended.all()
+
+
+def test_warming_up_learns_nothing_and_needs_no_room_to_grow():
+    learner = counting()
+    state = learner.init()
+    learner.warm_up(state, donate=True).join()
+    assert_same_bits(state, learner.init())
+    assert learner.traces == ["propose", "learn"]
+
+
+def test_lapack_has_one_thread_while_somebody_wants_it():
+    def threads():
+        found = threadpoolctl.ThreadpoolController().select(user_api="blas").info()
+        return {each["num_threads"] for each in found}
+
+    with one_thread():  # what jaxlib calls is loaded now, if it was not
+        assert threads() == {1}
+    with threadpoolctl.threadpool_limits(2, "blas"):
+        with one_thread(), contextlib.suppress(KeyError):
+            assert threads() == {1}
+            with one_thread():
+                assert threads() == {1}
+            assert threads() == {1}
+            raise KeyError
+        assert threads() == {2}
+
+
+def test_only_what_factorises_anew_asks_for_it():
+    sizes = {"obs_size": 1, "action_size": 1}
+    assert make_learner("gpc-ns", **sizes).factorises
+    assert not make_learner("gpc", **sizes).factorises and not counting().factorises
