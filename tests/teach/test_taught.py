@@ -12,7 +12,6 @@ from gpcjax.recording import RECORD, Recording
 from gpcjax.registry import find
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import Given, spec_of
-from gpcjax.teach import taught as taught_module
 from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Evaluation, Taught
@@ -126,7 +125,7 @@ def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
 
 @pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
 def test_a_full_dictionary_goes_on_learning_in_the_same_room(tmp_path, monkeypatch, algo):
-    monkeypatch.setattr(taught_module, "DICTIONARY", 8)
+    monkeypatch.setattr("gpcjax.teach.beginning.DICTIONARY", 8)
     taught = Taught.begin(tmp_path, course(algo=(algo,)))
     assert taught.course.spec(1).on_full == "replace-nearest"
     shapes = [leaf.shape for leaf in _leaves(taught)]
