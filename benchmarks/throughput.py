@@ -5,7 +5,8 @@ Then the repetitions interleave, so that what else the machine does strikes all 
 medians of ratios taken within a repetition. Everything is counted: acting, the task, the teacher, learning, and for
 gpcjax the host's work between chunks. Compile time stands apart.
 
-Written are the tables, `throughput.json` with all measurements, machine and versions, and `throughput.png`; then
+Then whole commands, cold and warm (`benchmarks.waiting`). Written are the tables, `throughput.json` with all
+measurements, machine and versions, and `throughput.png`; `benchmarks.calls` measures single calls from Python, and
 `benchmarks.profile` tells where the time goes.
 """
 
@@ -25,6 +26,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import waiting
 from benchmarks.cases import Case, cases
 from gpcjax.sweep.environment import computing_environment
 from gpcjax.sweep.executors import run_alone
@@ -248,6 +250,14 @@ def main() -> None:
         compared.append((case, compare(case, repetitions)))
         record["compared"].append({"case": asdict(case), "found": compared[-1][1]})
         write()
+    if not arguments.curves_only:
+        console.print("whole commands ...")
+        small = [command for command in waiting.COMMANDS if command.name.startswith("small")]
+        record["waiting"] = waiting.measured(
+            small if arguments.quick else waiting.COMMANDS, min(repetitions, 3)
+        )
+        write()
+        console.print(waiting.table(record["waiting"]))
     if compared:
         console.print(table(compared))
     for case, found in compared:
@@ -262,6 +272,7 @@ def main() -> None:
         draw(record, arguments.out / "throughput.png")
     console.print(f"{arguments.out}/{name}")
     if not arguments.quick:
+        run_alone("benchmarks.calls")
         run_alone("benchmarks.profile")
 
 

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,13 +131,23 @@ def counted(cache: Path) -> Measurement:
 
 
 def measured(
-    commands: list[Command], checkouts: list[Checkout], repetitions: int
-) -> Iterator[tuple[Command, int, Measurement]]:
-    """Each command of each checkout, one after the other, and again."""
-    for _ in range(repetitions):
-        for command in commands:
-            for number, checkout in enumerate(checkouts):
-                yield command, number, checkout.measure(command)
+    commands: Sequence[Command] = COMMANDS, repetitions: int = 3, against: Path | None = None
+) -> dict[str, list[list[Measurement]]]:
+    """What was measured of each command, by name: of this checkout, then of the other one; they take turns."""
+    roots = [ROOT, *([against.resolve()] if against else [])]
+    record: dict[str, list[list[Measurement]]] = {each.name: [[] for _ in roots] for each in commands}
+    with tempfile.TemporaryDirectory() as scratch:
+        checkouts = []
+        for number, root in enumerate(roots):
+            Path(scratch, str(number)).mkdir()
+            checkouts.append(Checkout(root, Path(scratch, str(number))))
+        for _ in range(repetitions):
+            for command in commands:
+                for number, checkout in enumerate(checkouts):
+                    measurement = checkout.measure(command)
+                    record[command.name][number].append(measurement)
+                    print(f"{command.name} [{number}]: {measurement}", file=sys.stderr, flush=True)
+    return record
 
 
 def table(record: dict[str, list[list[Measurement]]]) -> str:
@@ -197,16 +207,7 @@ def main() -> None:
         print(json.dumps(counted(arguments.count)))
         return
     commands = [each for each in COMMANDS if each.name.replace(", ", "-") in arguments.only.split(",")]
-    record: dict[str, list[list[Measurement]]] = {}
-    with tempfile.TemporaryDirectory() as scratch:
-        roots = [ROOT, *([arguments.against.resolve()] if arguments.against else [])]
-        checkouts = []
-        for number, root in enumerate(roots):
-            Path(scratch, str(number)).mkdir()
-            checkouts.append(Checkout(root, Path(scratch, str(number))))
-        for command, number, measurement in measured(commands, checkouts, arguments.repetitions):
-            record.setdefault(command.name, [[] for _ in roots])[number].append(measurement)
-            print(f"{command.name} [{number}]: {measurement}", file=sys.stderr, flush=True)
+    record = measured(commands, arguments.repetitions, arguments.against)
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "waiting.json").write_text(json.dumps(record, indent=1) + "\n")
     written = table(record)

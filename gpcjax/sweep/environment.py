@@ -5,6 +5,7 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -157,6 +158,15 @@ def programs_folder() -> Path | None:
     """Where whole programs are kept, of this processor alone: beside what XLA keeps of them."""
     folder = cache_folder()
     return None if folder is None else folder / f"programs-{_processor_hash()}"
+
+
+def forget_programs() -> bool:
+    """Removes the whole programs that are kept; False where there were none."""
+    folder = programs_folder()
+    if folder is None or not folder.is_dir():
+        return False
+    shutil.rmtree(folder, ignore_errors=True)
+    return True
 
 
 @functools.lru_cache

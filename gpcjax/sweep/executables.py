@@ -11,6 +11,7 @@ can write there; and a file only if it is all that was written.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import re
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -92,6 +94,7 @@ class Executables:
             if hashlib.sha256(content).digest() != checksum:
                 return None
             program, leaves, given, others = _opened(zlib.decompress(content))
+            _find_lapack()
             arguments = jax.tree.structure((([0] * leaves, [0] * given), {}))
             result = jax.tree.structure(([0] * leaves, [0] * others))
             found = serialize_executable.deserialize_and_load(program, arguments, result)
@@ -119,6 +122,15 @@ class Executables:
                 return
             os.unlink(path)
             total -= told.st_size
+
+
+@functools.cache
+def _find_lapack() -> None:
+    """Has jaxlib look for scipy's LAPACK, which it does when something is lowered that calls it.
+
+    A program that is read is not lowered: without this its first factorisation would end the process.
+    """
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 
 
 @contextmanager

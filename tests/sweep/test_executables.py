@@ -134,6 +134,30 @@ def test_what_xla_has_in_its_cache_is_kept_all_the_same(tmp_path):
     assert said == [f"[[4.0, 5.0, 6.0], [2.0, 2.0], 12.0] {found}\n" for found in (False, False, True)]
 
 
+def test_a_program_that_factorises_does_so_in_a_process_that_has_lowered_nothing(tmp_path):
+    script = (
+        "import sys, jax, numpy as np; from pathlib import Path\n"
+        "jax.config.update('jax_enable_x64', True)\n"
+        "from gpcjax.sweep.executables import Executables\n"
+        "kept, matrix = Executables(Path(sys.argv[1])), np.eye(3) * 4.0\n"
+        "def flat(leaves, given):\n"
+        "    factor = jax.lax.linalg.cholesky(leaves[0])\n"
+        "    return [jax.lax.linalg.triangular_solve(factor, given[0], left_side=True, lower=True)], []\n"
+        "found = kept.find('0' * 32)\n"
+        "print(found is not None)\n"
+        "if found is None:\n"
+        "    lowered = jax.jit(flat, keep_unused=True).lower([matrix], [matrix])\n"
+        "    found = kept.compiled('0' * 32, lowered, 1, 1, 0)\n"
+        "print(np.asarray(found([matrix], [matrix])[0][0]).tolist())\n"
+    )
+    for found in ("False", "True"):
+        done = subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path / "programs")], capture_output=True, text=True
+        )
+        assert done.returncode == 0, f"it ended with {done.returncode}: {done.stderr}"
+        assert done.stdout.split("\n", 1) == [found, f"{(np.eye(3) * 2.0).tolist()}\n"]
+
+
 def coach(episodes, kept=None):
     learner = make_learner("coach", "cartpole")
     start = Start(

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from gpcjax.errors import Failure, UserError
-from gpcjax.sweep import stopping
+from gpcjax.sweep import environment, stopping
+from gpcjax.sweep.environment import CACHE
 from gpcjax.sweep.executors import Desk, processes, starting
 from gpcjax.sweep.executors.starting import FEWER
 from gpcjax.sweep.plan import plan
@@ -61,11 +62,27 @@ def workers(monkeypatch):
         ("[print('x' * 1000, file=sys.stderr) for _ in range(500)]; sys.exit('the end')", "ended with status 1: the end"),  # noqa: E501
     ],
 )  # fmt: skip
-def test_an_end_has_its_reason(workers, code, message):
+def test_an_end_has_its_reason(workers, code, message, monkeypatch, tmp_path):
+    monkeypatch.setenv(CACHE, str(tmp_path))
     with pytest.raises(Failure) as failure:
         workers(code)
     assert str(failure.value) == f"a worker process {message}"
     assert not failure.value.details
+
+
+@pytest.mark.parametrize(("number", "gone"), [("SIGSEGV", True), ("SIGILL", True), ("SIGKILL", False)])
+def test_programs_that_may_have_ended_a_worker_are_kept_no_longer(
+    workers, number, gone, monkeypatch, tmp_path
+):
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    folder = environment.programs_folder()
+    folder.mkdir()
+    (folder / "one.program").write_text("")
+    (tmp_path / "another").write_text("")
+    with pytest.raises(Failure) as failure:
+        workers(f"os.kill(os.getpid(), signal.{number})")
+    assert str(failure.value).endswith("was the cause: try again") == gone
+    assert not folder.exists() == gone and (tmp_path / "another").exists()
 
 
 def test_its_own_error_is_one_line_with_the_full_text_beside_it(workers):

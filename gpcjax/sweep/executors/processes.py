@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import subprocess
 from contextlib import ExitStack
 from multiprocessing import Pipe
@@ -9,10 +10,15 @@ from multiprocessing.connection import Connection, wait
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
-from gpcjax.sweep.environment import script, worker_environment
+from gpcjax.sweep.environment import forget_programs, script, worker_environment
 from gpcjax.sweep.executors import served
 from gpcjax.sweep.executors.base import ASKS, Desk
 from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
+
+MACHINE_CODE = tuple(
+    -number for number in (signal.SIGSEGV, signal.SIGILL, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)
+)
+"""How a process ends that executes what is no good here, as a kept program might be."""
 
 LOOK_SECONDS = 0.5
 """Longest time between two reports of progress."""
@@ -116,7 +122,10 @@ def _end_of(worker: _Worker) -> Exception:
         if not worker.listen() or worker.last_words == before:
             break
     await_signal(status)
-    return Failure(f"a worker process {reason(status, worker.last_words.decode(errors='replace'))}")
+    why = reason(status, worker.last_words.decode(errors="replace"))
+    if status in MACHINE_CODE and forget_programs():
+        why += ", and the compiled programs that were kept are gone, in case that one of them was the cause: try again"
+    return Failure(f"a worker process {why}")
 
 
 def _start(number: int, environment: dict[str, str]) -> _Worker:
