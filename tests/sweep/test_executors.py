@@ -82,7 +82,7 @@ def test_programs_that_may_have_ended_a_worker_are_kept_no_longer(
     with pytest.raises(Failure) as failure:
         workers(f"os.kill(os.getpid(), signal.{number})")
     assert str(failure.value).endswith("was the cause: try again") == gone
-    assert not folder.exists() == gone and (tmp_path / "another").exists()
+    assert folder.exists() != gone and (tmp_path / "another").exists()
 
 
 def test_its_own_error_is_one_line_with_the_full_text_beside_it(workers):
