@@ -12,7 +12,7 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.report import run as run_module
-from gpcjax.report.figures import curves, style
+from gpcjax.report.figures import curves, drawing, style
 from gpcjax.report.run import draw, draw_frames
 from gpcjax.sweep import runfolder
 from gpcjax.sweep.reading import read_episodes
@@ -161,7 +161,7 @@ class TestUnwritable:
         def full(path, content):
             raise OSError(number, os.strerror(number), str(path))
 
-        monkeypatch.setattr(run_module, "write_atomic", full)
+        monkeypatch.setattr(drawing, "write_atomic", full)
         assert self.refusal(out) == (
             f"{out / 'summary.csv'}: cannot be written ({os.strerror(number)}), "
             "make room and give the right to write, or report on a copy"
@@ -194,6 +194,8 @@ def test_what_is_damaged_is_left_out_with_a_line(out, unpainted, capsys):
 def test_a_report_needs_neither_jax_nor_pyplot():
     code = (
         "import sys, gpcjax.report.run, gpcjax.report.terminal\n"
+        "assert 'matplotlib' not in sys.modules\n"  # a sweep that finds nothing missing draws nothing
+        "import gpcjax.report.figures.drawing\n"
         "print({'jax', 'equinox', 'brax', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules))"
     )
     root = Path(gpcjax.__file__).parents[1]
