@@ -132,11 +132,11 @@ def alone(*words: object) -> dict[str, Any]:
     return {**json.loads(done.stdout), "whole process": time.perf_counter() - began}
 
 
-def table(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
+def table(found: dict[str, list[dict[str, Any]]]) -> Table:
     """Medians over processes, in seconds."""
     names = list(dict.fromkeys(name for each in found.values() for run in each for name in run))
     shown = [name for name in names if not name.endswith("processor")]
-    drawn = Table(title=f"{title}: seconds, medians (of the processor)", title_justify="left", box=None)
+    drawn = Table(box=None)
     for name in ("", *shown):
         drawn.add_column(name, justify="right" if name else "left")
     for label, runs in found.items():
@@ -158,10 +158,9 @@ def _cell(wall: float, processor: float) -> str:
     return f"{wall:.2f}" if np.isnan(processor) else f"{wall:.2f} ({processor:.2f})"
 
 
-def table_of_calls(found: dict[str, dict[str, list[float]]], points: int) -> Table:
+def table_of_calls(found: dict[str, dict[str, list[float]]]) -> Table:
     """Medians and 99th percentiles, in milliseconds."""
-    title = f"with {points} points: milliseconds, median (99th percentile)"
-    drawn = Table(title=title, title_justify="left", box=None)
+    drawn = Table(box=None)
     for name in ("", *next(iter(found.values()))):
         drawn.add_column(name, justify="right" if name else "left")
     for algo, kinds in found.items():
@@ -197,13 +196,15 @@ def main() -> None:
         for algo in ALGOS:
             for role in ("cold", "warm"):
                 first.setdefault(f"{algo}, {role}", []).append(alone(*OURS, role, algo))
-    console.print(table("a policy that only acts", acting))
-    console.print(table("what compiles", first))
+    console.print("seconds, medians (of the processor): a policy that only acts, and what compiles")
+    console.print(table(acting))
+    console.print(table(first))
     called = {}
     for algo in ALGOS:
         called[algo] = alone(*OURS, "calls", algo, arguments.points, arguments.repetitions)
         del called[algo]["whole process"]
-    console.print(table_of_calls(called, arguments.points))
+    console.print(f"with {arguments.points} points: milliseconds, median (99th percentile)")
+    console.print(table_of_calls(called))
     record = {
         "machine": {"platform": platform.platform(), "cores": len(os.sched_getaffinity(0))},
         "versions": {name: version(name) for name in ("jax", "jaxlib", "numpy", "tensorstore")},
