@@ -15,6 +15,7 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
+from gpcjax.report.live import Live
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import specification_hash
 from gpcjax.sweep.progress import JsonLines
@@ -437,6 +438,13 @@ def test_argparse_gives_no_help_with_a_percent_sign():
                 command.format_help()
 
 
+def test_a_live_report_is_drawn_until_the_sweep_ends(calls):
+    assert cli.main("sweep --env cartpole --out here --live".split()) == 0
+    drawing = calls.options["meanwhile"].__self__
+    assert isinstance(drawing, Live) and drawing._over.is_set()
+    assert calls.drawn == [Path("here")]
+
+
 def test_json_for_programs(calls, capsys):
     assert (
         cli.main("sweep --env cartpole --out here --json --keep states --keep-at 5 --checkpoint 0".split())
@@ -453,6 +461,7 @@ def test_json_for_programs(calls, capsys):
         "keeping": Keeping("states", every=5),
         "checkpoint": 0.0,
         "watcher": JsonLines,
+        "meanwhile": cli._prepare_report,
     }
     assert cli.main("report here --json".split()) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(line)
