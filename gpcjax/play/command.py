@@ -14,7 +14,7 @@ from gpcjax.allowed import Anything, Numbers
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.environment import compute_here
-from gpcjax.sweep.options import OPTIONS, Option, conditions, parse
+from gpcjax.sweep.options import OPTIONS, conditions, own_values, parse
 from gpcjax.teach.course import seconds_of
 
 if TYPE_CHECKING:
@@ -65,17 +65,14 @@ def play(arguments: argparse.Namespace) -> int:
 
 
 def _wishes(arguments: argparse.Namespace) -> Wishes:
-    given = {
-        name: parse(Option(name, kind, allowed, ""), text, f"--{name}")
-        for name, kind, allowed in (
-            ("seed", int, SEED),
-            ("episodes", int, EPISODES),
-            ("speed", float, SPEED),
-            ("seconds", float, SECONDS),
-            ("gif", str, Anything("a path that ends in .gif")),
-        )
-        if (text := getattr(arguments, name)) is not None
-    }
+    given = own_values(
+        arguments,
+        ("seed", int, SEED),
+        ("episodes", int, EPISODES),
+        ("speed", float, SPEED),
+        ("seconds", float, SECONDS),
+        ("gif", str, Anything("a path that ends in .gif")),
+    )
     gif = Path(os.path.expanduser(given["gif"])) if "gif" in given else None
     if gif is not None and (gif.suffix.lower() != ".gif" or gif.is_dir()):
         raise UserError(f"--gif {gif}: give a path that ends in .gif")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.report.summary import Summary
-from gpcjax.sweep.layout import EPISODES
+from gpcjax.sweep.layout import EPISODES, sha256
 
 PAGE = "report.html"
 _BUILT_ON = ("matplotlib", "numpy", "pandas")
@@ -66,4 +66,4 @@ def _source() -> Iterable[Path]:
 
 
 def _digest(written: bytes | str) -> str:
-    return hashlib.sha256(written.encode() if isinstance(written, str) else written).hexdigest()[:32]
+    return sha256(written.encode() if isinstance(written, str) else written)[:32]

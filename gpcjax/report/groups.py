@@ -15,11 +15,9 @@ from gpcjax.report.arranged import Lines, arranged, broken, compared_length, par
 from gpcjax.report.statistics import Scores, first_crossing
 from gpcjax.sweep.coded import Coded, joint
 from gpcjax.sweep.counted import Episodes
+from gpcjax.sweep.sofar import FINAL_EPISODES as FINAL_EPISODES
 
 T = TypeVar("T")
-
-FINAL_EPISODES = 5
-"""The final return is the mean of this many last episodes."""
 
 CLOSED_GAP = 0.9
 """The part of the gap between the idle policy and the oracle that a run has to close."""

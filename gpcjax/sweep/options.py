@@ -207,6 +207,18 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     return name in mine | theirs or name in {option.name for option in EXPERIMENT + RUNNING}
 
 
+def own_values(given: Any, *wanted: tuple[str, type, Allowed]) -> dict[str, Any]:
+    """The checked values of a command's own flags, by name, kind and what is allowed; of those that were given.
+
+    `given` has the text of each flag, or None, as an attribute. Raises UserError.
+    """
+    return {
+        name: parse(Option(name, kind, allowed, ""), text, f"--{name}")
+        for name, kind, allowed in wanted
+        if (text := getattr(given, name)) is not None
+    }
+
+
 def conditions(words: Iterable[str]) -> dict[str, str]:
     """Columns of a run folder and a value of each, from `COLUMN=VALUE`. Raises UserError."""
     found = {}

@@ -15,7 +15,7 @@ from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import CellRows
 
 FINAL_EPISODES = 5
-"""The last episodes of a run, whose mean is its final return; as in reports."""
+"""The last episodes of a run, whose mean is its final return: here and in reports."""
 
 _ALWAYS = ("algo", "error")
 

@@ -8,7 +8,7 @@ from gpcjax.allowed import Numbers
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
 from gpcjax.sweep.layout import MANIFEST
-from gpcjax.sweep.options import Option, conditions, parse
+from gpcjax.sweep.options import conditions, own_values
 from gpcjax.sweep.spec import Given, Unchecked
 
 SEED = Numbers(0, 2**31 - 1, whole=True)
@@ -30,16 +30,13 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     from gpcjax.teach.origin import Origin, of_run
     from gpcjax.teach.run import teach
 
-    own = {
-        name: parse(Option(name, kind, allowed, ""), text, f"--{name}")
-        for name, kind, allowed in (
-            ("seed", int, SEED),
-            ("repeat", float, REPEAT),
-            ("speed", float, SPEED),
-            ("port", int, PORT),
-        )
-        if (text := getattr(arguments, name)) is not None
-    }
+    own = own_values(
+        arguments,
+        ("seed", int, SEED),
+        ("repeat", float, REPEAT),
+        ("speed", float, SPEED),
+        ("port", int, PORT),
+    )
     out, oracle = given.pop("out", None), given.pop("oracle", None)
     folder = Path(os.path.expanduser(out.value)) if out is not None else None
     origin: Origin | None = None

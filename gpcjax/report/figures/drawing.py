@@ -8,6 +8,7 @@ import pandas as pd
 
 from gpcjax.errors import UserError
 from gpcjax.report import content, html
+from gpcjax.report.drawn import PAGE
 from gpcjax.report.figures import curves, grids, style
 from gpcjax.report.summary import Summary
 from gpcjax.sweep.atomic import write_atomic
@@ -47,7 +48,7 @@ def write(
             files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
             pictures.append(style.pictured(drawing))
     page = content.document(summary, pictures)
-    files["report.html"] = html.render(page, head(files))
+    files[PAGE] = html.render(page, head(files))
     for name, written in files.items():
         try:
             write_atomic(out / name, written)
