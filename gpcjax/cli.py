@@ -153,6 +153,8 @@ def _run(words: Sequence[str]) -> int:
     match arguments.command:
         case "sweep" | "grid":
             return _sweep(arguments)
+        case "tune":
+            return _tune(arguments)
         case "report":
             return _report(Path(arguments.out), arguments.json)
         case "compare":
@@ -248,7 +250,7 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
 
 
 def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
-    try:
+    with _keeping(out):
         from gpcjax.sweep.progress import Bar, JsonLines
         from gpcjax.sweep.run import run
 
@@ -267,8 +269,16 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
                 )
             (out / FAULT).unlink(missing_ok=True)
             return _report(out, running.as_json, anew=ran)
+
+
+@contextmanager
+def _keeping(out: Path) -> Iterator[None]:
+    """A run that ends before its time says that `out` keeps what is finished."""
+    try:
+        yield
     except KeyboardInterrupt as stop:
-        return _stopped(out, stop)
+        stop.args = (f"stopped: {out} keeps what is finished, the same command goes on from there",)
+        raise
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
 
@@ -370,6 +380,22 @@ def _show_folder(out: Path, as_json: bool) -> int:
     return 0
 
 
+def _tune(arguments: argparse.Namespace) -> int:
+    from gpcjax.tune.command import said, wishes_of
+
+    wishes = wishes_of(arguments, cli_options.settings(arguments), usable_cores())
+    if arguments.dry_run:
+        print(said(wishes))
+        return 0
+    make_writable(wishes.out)
+
+    with _keeping(wishes.out):
+        from gpcjax.tune.carrying_out import carry_out
+
+        _note()
+        return carry_out(wishes)
+
+
 def _oracles(text: str | None) -> int:
     names = env_names() if text is None else text.split(",")
     envs = tuple(dict.fromkeys(parse(OPTIONS["env"], name, "--env") for name in names))
@@ -393,23 +419,15 @@ def _reproduce(arguments: argparse.Namespace) -> int:
         return 0
     from gpcjax.reproduce.run import reproduce
 
-    try:
+    with _keeping(out):
         _note()
         print(reproduce(sweeps, out, only, arguments.quick, jobs))
-    except KeyboardInterrupt as stop:
-        return _stopped(out, stop)
-    except Failure as failure:
-        raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
     return 0
 
 
 def _note() -> None:
     for line in notes():
         _tell(line, 0)
-
-
-def _stopped(out: Path, stop: KeyboardInterrupt) -> int:
-    return _tell(f"stopped: {out} keeps what is finished, the same command goes on from there", _status(stop))
 
 
 def _full_text(failure: Failure, out: Path) -> str:

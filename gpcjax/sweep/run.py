@@ -100,10 +100,12 @@ def run(
     checkpoint: float = OPTIONS["checkpoint"].default,
     watcher: Callable[..., Watcher] | None = None,
     meanwhile: Callable[[], None] = lambda: None,
+    say: Callable[[str], None] = tell,
 ) -> bool:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
-    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy.
+    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy;
+    `say` takes a line for the person where the folder grows.
 
     A folder that holds less than `spec` asks for `grows`, or is refused. Of each run that is kept what `keeping` says;
     runs that are under way are saved every `checkpoint` seconds, and go on from there after a kill.
@@ -119,7 +121,7 @@ def run(
     with held(out):
         check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
-        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out)
+        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out, say)
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -141,7 +143,9 @@ def run(
         return False
 
 
-def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
+def _asked(
+    manifest: dict[str, Any], spec: SweepSpec, out: Path, say: Callable[[str], None]
+) -> tuple[dict[str, Any], str]:
     """The manifest of a folder that is asked for `spec`, perhaps beside what it was asked before; and the hash of that.
 
     Nothing is written yet.
@@ -151,7 +155,7 @@ def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[s
         return manifest, request
     larger = grown(manifest, spec)
     new = larger["cells"] - manifest["cells"]
-    tell(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
+    say(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
     return larger, specification_hash(spec)
 
 

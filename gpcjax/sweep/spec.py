@@ -114,14 +114,29 @@ _TOKENS = re.compile(
 )
 
 
-def read_toml(path: Path, quick: bool = False) -> dict[str, Given | Unchecked]:
+def read_table(path: Path, name: str) -> dict[str, Any]:
+    """The table of this name of a TOML file, for a command that has one; empty where there is none.
+
+    Raises:
+        UserError: the file cannot be read as TOML, or the name is no table's.
+    """
+    table = _read_table(path).get(name, {})
+    if not isinstance(table, dict):
+        raise UserError(f"{path}: {name} is no table: begin one with a line [{name}]")
+    return table
+
+
+def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Given | Unchecked]:
     """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
+
+    A table of the name `beside` is left out (`read_table`).
 
     Raises:
         UserError: the file is missing, is not TOML, is no file of settings by its size or depth, has a key or value
             that is not allowed, or has no table [quick] though `quick` asks for it.
     """
     table = _read_table(path)
+    table.pop(beside, None)
     has_small, small = QUICK in table, table.pop(QUICK, {})
     if not isinstance(small, dict):
         raise UserError(f"{path}: {QUICK} is no table: begin one with a line [{QUICK}]")
@@ -290,7 +305,9 @@ def _points(
     def accepted(name: str, value: Any, source: str) -> float:
         if name not in own or name in LATENESS:
             known = sorted(own.keys() - LATENESS)
-            raise UserError(f"{source} is no setting of points{suggestion(name, known)}: give {', '.join(known)}")
+            raise UserError(
+                f"{source} is no setting of points{suggestion(name, known)}: give {', '.join(known)}"
+            )
         if name in alone:
             raise UserError(f"{alone[name].source}: it is a setting of the points, too: give it in one place")
         checked = [accept(option_of(each), value, source) for each in own[name]]
@@ -323,9 +340,7 @@ def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
     numbers = {name: tuple(value) for name, value in hyperparameters.items()}
     start = Source(**specification["start"]) if specification.get("start") else None
     points = joint.from_json(specification.get(POINTS, []))
-    return SweepSpec(
-        **{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points}
-    )
+    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points})
 
 
 def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:

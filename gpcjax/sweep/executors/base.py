@@ -3,8 +3,8 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
-    ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name) or
-                                 ("stop",)
+    ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
+                                 ("stop",), or of an executor ("again",): this is another sweep, say it again
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end
     ("rows", CellRows)           has finished a cell
     ("baseline", name, numbers)  has measured an idle policy or an expert

@@ -1,0 +1,198 @@
+"""A checked search from its beginning to its page. What was done is not done again."""
+
+import dataclasses
+import json
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gpcjax.report import words
+from gpcjax.report.compare import Comparison
+from gpcjax.report.document import Sheet
+from gpcjax.report.run import draw
+from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.executors import Executor, Processes
+from gpcjax.sweep.lock import held
+from gpcjax.sweep.progress import Bar, JsonLines, Watcher
+from gpcjax.sweep.run import run
+from gpcjax.sweep.spec import SweepSpec
+from gpcjax.tune import page, toml
+from gpcjax.tune.check import CHECK, checked_on, differing
+from gpcjax.tune.command import STATE, Wishes, grid_spec
+from gpcjax.tune.found import Found, found_in
+from gpcjax.tune.objectives import OBJECTIVES
+from gpcjax.tune.searching import SEARCH, Adaptive, search
+from gpcjax.tune.trials import Told, Trials
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What a method came to: the settings, and how it tells of them."""
+
+    tuned: SweepSpec
+    """The usual specification, with what was found."""
+    lead: str
+    """How it was found, in a sentence."""
+    warnings: list[str]
+    sheets: Callable[[int], list[Sheet]]
+    """Tables of so many rows at most."""
+    draw: Callable[[Path], Any]
+    """Draws its figure into a folder, and gives it for the page."""
+    files: dict[str, str]
+    """Tables, by the names of their files."""
+    told: dict[str, Any]
+    """For programs."""
+
+
+def carry_out(wishes: Wishes) -> int:
+    """Searches, judges on other seeds, draws; gives the exit status."""
+    out = wishes.out
+    with held(out), Processes(wishes.jobs) as executor:
+        write_atomic(out / STATE, json.dumps(wishes.told, indent=2) + "\n")
+        outcome = _METHODS[wishes.method](wishes, executor)
+        best = dataclasses.replace(outcome.tuned, seeds=wishes.check)
+        comments = [
+            outcome.lead,
+            "Its seeds had no part in the choice.",
+            f"    gpcjax sweep {out / page.BEST}",
+        ]
+        for name, text in {**outcome.files, page.BEST: toml.text_of(best, comments)}.items():
+            write_atomic(out / name, text)
+        comparison = checked_on(wishes.base, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
+        said = page.verdict(comparison, wishes.check.words)
+        commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
+        if comparison is not None:
+            folders = [str(out / CHECK / each.name) for each in comparison.folders]
+            by = ",".join(differing(wishes.base, outcome.tuned))
+            commands.append(shlex.join(["gpcjax", "compare", *folders, "--by", by]))
+        pictures = [outcome.draw(out)]
+        title = f"{words.algorithm(wishes.base.algo[0])} on {words.task(wishes.base.env)}, tuned"
+        written = page.write(
+            out,
+            title,
+            outcome.lead,
+            outcome.sheets(page.MOST_ROWS),
+            pictures,
+            outcome.warnings,
+            comparison,
+            said,
+            commands,
+        )
+    _tell(wishes, outcome, comparison, said, written)
+    return 0
+
+
+def _tell(
+    wishes: Wishes, outcome: Outcome, comparison: Comparison | None, said: Sequence[str], written: Path
+) -> None:
+    if wishes.as_json:
+        differences = (
+            []
+            if comparison is None
+            else json.loads(comparison.differences_table.to_json(orient="records") or "[]")
+        )
+        print(json.dumps({"event": "tuned", "out": str(wishes.out), **outcome.told, "check": differences}))
+        return
+    from rich.console import Console
+
+    from gpcjax.report.terminal import laid_out
+
+    width = None if sys.stdout.isatty() else 160  # a file or pipe is no narrow terminal
+    Console(width=width).print(
+        laid_out(outcome.warnings, outcome.sheets(page.MOST_TERMINAL), [outcome.lead, *said])
+    )
+    files = ", ".join([page.BEST, written.name, *outcome.files])
+    print(words.printable(f"{wishes.out}: {files}", sys.stdout.encoding))
+
+
+def _watcher(wishes: Wishes) -> Callable[..., Watcher] | None:
+    """Shows the progress of one sweep of many: of each nothing stays but in a terminal."""
+    return JsonLines if wishes.as_json else Bar if sys.stderr.isatty() else Unseen
+
+
+class Unseen:
+    """A watcher that shows nothing."""
+
+    def __init__(self, *about: Any, **more: Any):
+        pass
+
+    def __enter__(self) -> "Unseen":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def show(self, state: object) -> None:
+        """Nothing."""
+
+
+def _by_trials(wishes: Wishes, executor: Executor) -> Outcome:
+    objectives = tuple(OBJECTIVES[name] for name in wishes.objectives)
+    startup = min(16, max(4, wishes.trials // 4))
+    trials = Trials(wishes.out, wishes.space, objectives, wishes.sampler_seed, startup)
+    how = Adaptive(objectives, wishes.rungs, wishes.trials, wishes.batch, wishes.eta)
+    search(wishes.base, wishes.out, trials, how, executor, _watcher(wishes))
+    told = tuple(trials.told())
+    found = found_in(wishes.out / SEARCH, wishes.space, objectives)
+    lead = f"{len(told):,} trials by Optuna's tree-structured Parzen estimator, on {wishes.base.seeds.words}"
+    return _of_points(wishes, found, told, lead)
+
+
+def _by_grid(wishes: Wishes, executor: Executor) -> Outcome:
+    folder = wishes.out / SEARCH
+    folder.mkdir(parents=True, exist_ok=True)
+    run(grid_spec(wishes), folder, executor.jobs, executor, watcher=_watcher(wishes))
+    found = found_in(folder, wishes.space, [OBJECTIVES[name] for name in wishes.objectives])
+    return _of_points(
+        wishes, found, (), f"A grid of {len(found.points):,} points on {wishes.base.seeds.words}"
+    )
+
+
+def _of_points(wishes: Wishes, found: Found, told: tuple[Told, ...], lead: str) -> Outcome:
+    draw(wishes.out / SEARCH, anew=False)
+    names = ", ".join(objective.name for objective in found.objectives)
+    point = ", ".join(f"{words.plain_symbol(name)} {value:.4g}" for name, value in found.best.point.items())
+    tied = sum(each.tied for each in found.points) - 1
+    lead = (
+        f"{lead}; best in {names}: {point}. {_count(tied, 'other point')} not significantly worse on the same seeds, "
+        "and the best of many looks better than it is."
+    )
+
+    def drawn(out: Path) -> Any:
+        from gpcjax.report.figures import style
+        from gpcjax.tune.figure import drawn
+
+        drawing = drawn(found, told)
+        for kind in ("png", "pdf"):
+            write_atomic(out / f"{page.FIGURE}.{kind}", style.image(drawing.figure, kind))
+        return style.pictured(drawing)
+
+    return Outcome(
+        tuned=with_point(wishes.base, found.best.point),
+        lead=lead,
+        warnings=page.warnings(found),
+        sheets=lambda most: [page.sheet(found, most)],
+        draw=drawn,
+        files={page.TABLE: found.table().to_csv(index=False)},
+        told={
+            "best": found.best.point,
+            "scores": dict(zip(names.split(", "), found.best.scores, strict=True)),
+        },
+    )
+
+
+def with_point(spec: SweepSpec, point: dict[str, float]) -> SweepSpec:
+    """The specification with these hyperparameters."""
+    values = {name: (value,) for name, value in point.items()}
+    return dataclasses.replace(spec, hyperparameters={**spec.hyperparameters, **values})
+
+
+def _count(number: int, what: str) -> str:
+    return (
+        f"{number:,} {what} is" if number == 1 else f"{number:,} {what}s are" if number else f"No {what} is"
+    )
+
+
+_METHODS: dict[str, Callable[[Wishes, Executor], Outcome]] = {"tpe": _by_trials, "grid": _by_grid}
