@@ -212,7 +212,13 @@ def _sweep(arguments: argparse.Namespace) -> int:
         print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
         return 0
     make_writable(out)
-    return _teach(spec, out, running)
+    status = _teach(spec, out, running)
+    if arguments.command == "grid" and not running.as_json:
+        from gpcjax.tune.best import write_best
+
+        for path in write_best(out, spec):
+            print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
+    return status
 
 
 class Running(NamedTuple):

@@ -19,6 +19,7 @@ from gpcjax.sweep.progress import Bar, JsonLines, Watcher
 from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune import page, toml
+from gpcjax.tune.best import with_point
 from gpcjax.tune.check import CHECK, checked_on, differing
 from gpcjax.tune.command import STATE, Wishes, grid_spec
 from gpcjax.tune.found import Found, found_in
@@ -135,7 +136,7 @@ def _by_trials(wishes: Wishes, executor: Executor) -> Outcome:
     how = Adaptive(objectives, wishes.rungs, wishes.trials, wishes.batch, wishes.eta)
     search(wishes.base, wishes.out, trials, how, executor, _watcher(wishes))
     told = tuple(trials.told())
-    found = found_in(wishes.out / SEARCH, wishes.space, objectives)
+    found = found_in(wishes.out / SEARCH, wishes.base.algo[0], wishes.space, objectives)
     lead = f"{len(told):,} trials by Optuna's tree-structured Parzen estimator, on {wishes.base.seeds.words}"
     return _of_points(wishes, found, told, lead)
 
@@ -144,7 +145,9 @@ def _by_grid(wishes: Wishes, executor: Executor) -> Outcome:
     folder = wishes.out / SEARCH
     folder.mkdir(parents=True, exist_ok=True)
     run(grid_spec(wishes), folder, executor.jobs, executor, watcher=_watcher(wishes))
-    found = found_in(folder, wishes.space, [OBJECTIVES[name] for name in wishes.objectives])
+    found = found_in(
+        folder, wishes.base.algo[0], wishes.space, [OBJECTIVES[name] for name in wishes.objectives]
+    )
     return _of_points(
         wishes, found, (), f"A grid of {len(found.points):,} points on {wishes.base.seeds.words}"
     )
@@ -154,11 +157,7 @@ def _of_points(wishes: Wishes, found: Found, told: tuple[Told, ...], lead: str) 
     draw(wishes.out / SEARCH, anew=False)
     names = ", ".join(objective.name for objective in found.objectives)
     point = ", ".join(f"{words.plain_symbol(name)} {value:.4g}" for name, value in found.best.point.items())
-    tied = sum(each.tied for each in found.points) - 1
-    lead = (
-        f"{lead}; best in {names}: {point}. {_count(tied, 'other point')} not significantly worse on the same seeds, "
-        "and the best of many looks better than it is."
-    )
+    lead = f"{lead}; best in {names}: {point}. {_beside(found)}; the best of many looks better than it is."
 
     def drawn(out: Path) -> Any:
         from gpcjax.report.figures import style
@@ -183,16 +182,24 @@ def _of_points(wishes: Wishes, found: Found, told: tuple[Told, ...], lead: str) 
     )
 
 
-def with_point(spec: SweepSpec, point: dict[str, float]) -> SweepSpec:
-    """The specification with these hyperparameters."""
-    values = {name: (value,) for name, value in point.items()}
-    return dataclasses.replace(spec, hyperparameters={**spec.hyperparameters, **values})
-
-
-def _count(number: int, what: str) -> str:
-    return (
-        f"{number:,} {what} is" if number == 1 else f"{number:,} {what}s are" if number else f"No {what} is"
+def _beside(found: Found) -> str:
+    """How many other points may be as good."""
+    if len(found.objectives) > 1:
+        front = sum(each.on_front for each in found.points)
+        return (
+            f"It is one of {front:,} on the front, the one with the best ranks"
+            if front > 1
+            else "Nothing beats it in either"
+        )
+    number = sum(each.tied for each in found.points) - 1
+    others = (
+        "1 other point is"
+        if number == 1
+        else f"{number:,} other points are"
+        if number
+        else "No other point is"
     )
+    return f"{others} tied with it on the same seeds"
 
 
 _METHODS: dict[str, Callable[[Wishes, Executor], Outcome]] = {"tpe": _by_trials, "grid": _by_grid}

@@ -65,14 +65,17 @@ class Found:
         )
 
 
-def found_in(folder: Path, space: Space, objectives: Sequence[Objective]) -> Found:
-    """What the rows of a search's run folder say.
+def found_in(folder: Path, algo: str, space: Space, objectives: Sequence[Objective]) -> Found:
+    """What the rows of a run folder say of one of its learners.
 
     Raises:
-        UserError: no point has a score.
+        UserError: there are no rows of it, or no point has a score.
     """
     rows = read(folder, lambda line: None)
-    study = gather(rows.episodes, rows.manifest)
+    frame = rows.episodes
+    if frame.empty or algo not in set(frame["algo"]):
+        raise UserError(f"{folder}: it holds no rows of {algo}")
+    study = gather(frame.loc[frame["algo"] == algo], rows.manifest)
     names, fixed = list(space), {}
     for name in names:
         if name not in study.varying:
@@ -98,8 +101,7 @@ def found_in(folder: Path, space: Space, objectives: Sequence[Objective]) -> Fou
         )
         for place, key in ((place, list(keys)[place]) for place in order)
     )
-    first = study.groups[0]
-    return Found(study.env, first.algo, space, tuple(objectives), points)
+    return Found(study.env, algo, space, tuple(objectives), points)
 
 
 def _tied(each: Sequence[Scores], best: int, objective: Objective) -> list[bool]:

@@ -1,8 +1,8 @@
 """A search's trials in Optuna's database: asked for in batches, told when they ran, the same after a kill.
 
 Each trial has a sampler of its own, seeded by the search's seed and the trial's place: so what a trial is depends on
-what was told before alone, and not on when the process was started. A batch that was not told to its end, as the process
-was killed, is given again.
+what was told before alone, and not on when the process was started. A batch that was not told to its end, as the
+process was killed, is given again.
 """
 
 import logging
