@@ -42,6 +42,7 @@ FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teach
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
+TAKES_tune := $(filter-out KEEP,$(TAKES_sweep))
 TAKES_report := OUT
 TAKES_compare := OUT ARGS
 TAKES_oracles := ENV
@@ -84,7 +85,7 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
+.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
 .PHONY: lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
@@ -95,6 +96,9 @@ sweep: $(READY) ## teach every combination, print a table, draw the curves
 
 grid: $(READY) ## the same over lists of hyperparameters, with a heatmap
 	$(call with_args,$(GPCJAX) grid $(SETTINGS))
+
+tune: $(READY) ## search hyperparameters, judge the best (ARGS='--search policy-length-scale=0.02:20')
+	$(call with_args,$(GPCJAX) tune $(SETTINGS))
 
 report: $(READY) ## draw a run folder's table and figures again (OUT=)
 	$(GPCJAX) report $(if $(OUT),-- $(call quoted,OUT))
@@ -159,6 +163,7 @@ clean: ## remove .venv and all caches, no results
 PYTHON_WORD = $(call quoted,PYTHON)
 sweep: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax sweep $(SETTINGS) --dry-run)
 grid: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax grid $(SETTINGS) --dry-run)
+tune: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax tune $(SETTINGS) --dry-run)
 reproduce: CHECK = $(PYTHON_WORD) -m gpcjax reproduce $(REPRODUCTION) --dry-run
 NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
 $(READY): requirements.lock pyproject.toml

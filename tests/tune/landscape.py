@@ -39,18 +39,16 @@ class Landscape(Pretended):
 
 def _searched(cell):
     """Its settings, or a worse one than the peak where it has none."""
-    return {name: value for name, value in cell.hyperparameters if name in PEAK} or {"policy_length_scale": 2.0}
+    return {name: value for name, value in cell.hyperparameters if name in PEAK} or {
+        "policy_length_scale": 2.0
+    }
 
 
 def scored(cell):
     """The rows of a cell: the same in each episode, a little more for a higher seed."""
     made = rows(cell, episodes=cell.episodes)
-    returns = 0 * made.episodes["returns"] + height(
-        dict(cell.hyperparameters) or {"policy_length_scale": 2.0}
-    )
-    corrections = 0 * made.episodes["corrections"] + round(
-        10 * _searched(cell).get("policy_length_scale", 2)
-    )
+    returns = 0 * made.episodes["returns"] + height(_searched(cell))
+    corrections = 0 * made.episodes["corrections"] + round(10 * _searched(cell).get("policy_length_scale", 2))
     return dataclasses.replace(
         made, episodes=made.episodes | {"returns": returns + 0.01 * cell.seed, "corrections": corrections}
     )

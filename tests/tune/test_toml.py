@@ -11,6 +11,8 @@ SETTINGS = [
     {"env": "pendulum", "error": [0, 0.1], "seeds": "100-199", "points": POINTS},
     {"env": "cartpole", "algo": "gpc-ns", "rate_schedule": [0.1], "sparsify": False, "max_capacity": 64},
     {"env": "cartpole", "algo": "gpc-ns", "on_full": "drop"},
+    {"env": "pendulum", "algo": "coach", "beta": 3.0},
+    {"env": "pendulum", "algo": "d-coach"},
     {
         "env": "mountaincar",
         "algo": ["gpc", "coach"],

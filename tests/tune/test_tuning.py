@@ -1,9 +1,12 @@
 """A search from its words to its page: the runs follow a formula, all else is real."""
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -34,9 +37,9 @@ WORDS = (
 
 @pytest.fixture
 def workers(monkeypatch, tmp_path):
-    """Has searches run on these workers; what they draw is made, and not rendered, which takes most of the time."""
+    """Has searches run on these workers; what they draw is made, and not painted, which takes most of the time."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(style, "image", lambda *arguments, **options: b"image")
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
 
     def use(landscape):
         monkeypatch.setattr(carrying_out, "Processes", lambda jobs: landscape)
@@ -216,3 +219,25 @@ def test_checking_needs_the_standard_library_alone():
             "in 2 processes", f"in {cli.usable_cores()} processes"
         )
     )
+
+
+def test_the_page_of_the_docs(workers, tmp_path, capsys):
+    """docs/tuning.md: its commands run as they stand, its files of settings are understood."""
+    text = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
+    workers(Landscape())
+    tomls = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert len(tomls) == 2
+    for number, toml in enumerate(tomls):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(toml)
+        assert cli.main(["tune" if "[tune]" in toml else "sweep", str(path), "--dry-run"]) == 0
+    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    search, further = commands.replace("\\\n", "").splitlines()
+    program, *words = shlex.split(search)
+    assert program == "gpcjax" and cli.main(words) == 0
+    assert cli.main([*shlex.split(further)[1:], "--dry-run"]) == 0
+    for name in re.findall(
+        r"^\| `([^`]+)`", text[text.index("## What it leaves") : text.index("## Points of")], re.MULTILINE
+    ):
+        if "rung" not in name:
+            assert (tmp_path / "runs" / "tuned" / name).exists()
