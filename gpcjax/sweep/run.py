@@ -1,14 +1,11 @@
 """One sweep from its specification to a complete store. The parent process loads no jax."""
 
-import importlib.metadata
-import platform
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Any
 
-import gpcjax
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
@@ -31,14 +28,13 @@ from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
+from gpcjax.sweep.versions import versions
 
 FLUSH_SECONDS = 2.0
 """Finished rows wait at most this long in memory."""
 
 UNKNOWN = "unknown, the manifest that said it was lost"
 """The machine of rows that this one has not computed: they tell of which kind it was, not which."""
-
-_LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
 def sweep(
@@ -231,6 +227,7 @@ class _Sweep:
             on_note=tell,
             orders=orders,
             before=lambda programs: experience.of(programs, cache_folder()),
+            on_machine=lambda described: _note_machine(out, manifest, described),
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or Bar)(spec.env, len(missing), self._desk.workers, works=works)
@@ -249,6 +246,7 @@ class _Sweep:
                     took = {program: work.took for program, work in self._desk.works.items()}
                     known = {program: cost for program, cost in took.items() if cost is not None}
                     experience.learn(known, cache_folder())
+            _forget_idle_machines(self._manifest, self._store.machines)
             # What was asked for before may have been interrupted, and is not asked for now.
             self._save(complete=self._store.cells >= self._manifest["cells"])
             if self._manifest["complete"]:
@@ -323,12 +321,6 @@ _ACCUMULATED = ("wall_time_s", "compile_time_s", "env_steps")
 """Numbers of the manifest that grow when an interrupted sweep goes on. Compile time is the sum over processes."""
 
 
-def versions() -> dict[str, str]:
-    """Of what rows are computed with."""
-    libraries = {name: importlib.metadata.version(name) for name in _LIBRARIES}
-    return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
-
-
 def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
     for name, version in versions().items():
         before = manifest["versions"].get(name)
@@ -349,3 +341,14 @@ def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> 
     if machine.kind_of(before):  # an old manifest does not say enough to tell
         names = ", ".join(machine.differences(before, here))
         tell(f"{out}: begun on another kind of machine ({names}): last bits may differ, see its manifest")
+
+
+def _forget_idle_machines(manifest: dict[str, Any], with_rows: Container[str]) -> None:
+    """Leaves those machines in the manifest that have computed rows: who hands out cells need not compute any."""
+    known = [manifest["machine"], *manifest.get("further_machines", [])]
+    kinds = [machine.kind_of(each) for each in known]
+    used = [each for each, kind in zip(known, kinds, strict=True) if not kind or kind in with_rows] or known[:1]
+    manifest["machine"] = used[0]
+    manifest.pop("further_machines", None)
+    if used[1:]:
+        manifest["further_machines"] = used[1:]
