@@ -15,11 +15,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from gpcjax import registry
 from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
+from gpcjax.elsewhere import path_here
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
 from gpcjax.envs.brax_tasks import KNOWN, Known
 from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
-from gpcjax.elsewhere import path_here
 from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
 

@@ -11,7 +11,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
-from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
+from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.keepable import check_keeping
 from gpcjax.sweep.keeping import Keeping, keeping_of
@@ -20,11 +20,12 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, specification_hash, varying
+from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
+from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
@@ -44,6 +45,9 @@ def sweep(
     keep: Any = None,
     keep_at: Any = "last",
     checkpoint: Any = OPTIONS["checkpoint"].default,
+    engine: Any = None,
+    address: Any = None,
+    shard: Any = None,
     **settings: Any,
 ) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
@@ -55,6 +59,9 @@ def sweep(
         keep: "policies" or "states" (from which teaching goes on) of each run, for `load_policies` and `load_states`.
         keep_at: after which episode: "last", "best", or n for every n-th.
         checkpoint: seconds after which runs that are under way are saved, 0 for never.
+        engine: "processes" or "ray", in the place of an executor; "ray" has a job for each core where `jobs` is 1.
+        address: of the Ray cluster, see `gpcjax.sweep.executors.Ray`.
+        shard: "i/n" for the i-th of n shares alone, whose folder is `OUT/shards/i-of-n`.
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters;
             `start`, a run folder with kept states or a saved learner, with which the runs begin.
 
@@ -69,13 +76,19 @@ def sweep(
         raise UserError(f"executor {executor!r}: give an object with `jobs` and `run(desk)`, as InProcess()")
     if executor is not None and jobs != 1:
         raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
+    if executor is not None and engine is not None:
+        raise UserError("engine: beside an executor it changes nothing, give one of the two")
+    executor = executor or executor_of(engine, address, None if jobs == 1 else jobs)
+    share = None if shard is None else shard_of(shard, "shard")
     keeping = keeping_of(keep, keep_at)
     check_keeping(keeping, spec)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
+    folder = folder if share is None else share.folder(folder)
     check_sweep(folder, spec)
+    check_shard(folder, share, count(spec))
     _check_start(spec)
     make_writable(folder)
-    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds)
+    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
 
@@ -96,8 +109,11 @@ def run(
     checkpoint: float = OPTIONS["checkpoint"].default,
     watcher: Callable[..., Watcher] | None = None,
     meanwhile: Callable[[], None] = lambda: None,
+    shard: Shard | None = None,
 ) -> bool:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
+
+    With a `shard`, of these the cells of that share, into its own folder.
 
     Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy.
 
@@ -115,7 +131,12 @@ def run(
     with held(out):
         check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
-        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out)
+        check_shard(out, shard, len(cells))
+        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out, shard)
+        if shard is not None:
+            share = set(share_of(manifest, shard))
+            cells = [cell for cell in cells if cell in share]
+            manifest |= {"shard": shard.as_json(), "cells": len(share)}
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -137,7 +158,9 @@ def run(
         return False
 
 
-def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
+def _asked(
+    manifest: dict[str, Any], spec: SweepSpec, out: Path, shard: Shard | None
+) -> tuple[dict[str, Any], str]:
     """The manifest of a folder that is asked for `spec`, perhaps beside what it was asked before; and the hash of that.
 
     Nothing is written yet.
@@ -146,6 +169,8 @@ def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[s
     if request is not None:
         return manifest, request
     larger = grown(manifest, spec)
+    if shard is not None:
+        larger["cells"] = len(share_of(larger, shard))
     new = larger["cells"] - manifest["cells"]
     tell(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
     return larger, specification_hash(spec)
@@ -347,7 +372,9 @@ def _forget_idle_machines(manifest: dict[str, Any], with_rows: Container[str]) -
     """Leaves those machines in the manifest that have computed rows: who hands out cells need not compute any."""
     known = [manifest["machine"], *manifest.get("further_machines", [])]
     kinds = [machine.kind_of(each) for each in known]
-    used = [each for each, kind in zip(known, kinds, strict=True) if not kind or kind in with_rows] or known[:1]
+    used = [each for each, kind in zip(known, kinds, strict=True) if not kind or kind in with_rows] or known[
+        :1
+    ]
     manifest["machine"] = used[0]
     manifest.pop("further_machines", None)
     if used[1:]:

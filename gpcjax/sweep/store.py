@@ -118,7 +118,7 @@ class Store:
         return len(self._stored)
 
     def append(self, rows: Sequence[CellRows]) -> None:
-        """Writes the rows of some cells as one part for each kind of machine; puts parts together where there are many."""
+        """Writes the rows of some cells, a part for each kind of machine, and puts many parts together as one."""
         by_machine: dict[str, list[CellRows]] = {}
         for row in rows:
             by_machine.setdefault(row.machine or self._origin.machine, []).append(row)

@@ -1,6 +1,6 @@
-"""Workers on the machines of a Ray cluster, or of a Ray that is started for one sweep. Loads no jax, and Ray when used.
+"""Workers on the machines of a Ray cluster, or of a Ray that is started for one sweep. Loads no jax; Ray when used.
 
-Each worker is an actor that has a core to itself and carries the words of one process (`gpcjax.sweep.executors.remote`).
+Each worker is an actor that has a core to itself and carries the words of a process (`gpcjax.sweep.executors.remote`).
 Rows, baselines and checkpoints come back to the desk as words, so nothing but Ray is shared. Ray says when an actor or
 its machine is gone: what it had goes to others, and another actor takes its number, wherever there is room.
 """
@@ -25,8 +25,8 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place, receive
 from gpcjax.sweep.executors.base import ASKS, Desk, Message, Orders
-from gpcjax.sweep.executors.remote import Remote, place
 from gpcjax.sweep.executors.remote import Place as Machine
+from gpcjax.sweep.executors.remote import Remote, place
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.parcel import pack, parcel_of, unpack
 from gpcjax.sweep.plan import Cell
@@ -141,8 +141,8 @@ class Ray:
         if self._address is None:
             return Failure(f"Ray cannot be started here: {text}")
         return UserError(
-            f"address {self._address}: no Ray that this machine belongs to is there, or one of another version ({text}): "
-            "start one with `ray start --head`, and on each further machine `ray start --address HOST:PORT`"
+            f"address {self._address}: no Ray that this machine belongs to is there, or one of another version "
+            f"({text}): start one with `ray start --head`, and on each further machine `ray start --address HOST:PORT`"
         )
 
 
@@ -194,6 +194,8 @@ class _Crew:
         self._members: dict[int, _Member] = {}
         self._heard: queue.SimpleQueue[tuple[_Member, Any]] = queue.SimpleQueue()
         """What calls have come to: each member, and a future that is done."""
+        self._closing: list[Any] = []
+        """What tells that workers which had no more to do are gone."""
         self._losses = dict.fromkeys(range(desk.workers), 0)
         self._saved: dict[int, tuple[str, Mapping[Cell, Place]]] = {}
         """The last checkpoint of each worker, and where its runs are."""
@@ -226,7 +228,7 @@ class _Crew:
         """Ends all that are there; those that have a place clear it up."""
         placed = [member for member in self._members.values() if member.machine is not None]
         with contextlib.suppress(Exception):
-            closing = [member.actor.close.remote() for member in placed]
+            closing = [*self._closing, *(member.actor.close.remote() for member in placed)]
             if closing:
                 self._ray.wait(closing, num_returns=len(closing), timeout=CLOSING)
         for member in self._members.values():
@@ -272,7 +274,7 @@ class _Crew:
                     answer = reply if message[0] in ASKS else answer
         if answer == ("stop",):
             del self._members[member.number]
-            self._call(member, member.actor.close.remote())  # its core is free for others then
+            self._closing.append(member.actor.close.remote())  # its core is free for others then
             return
         self._call(member, member.actor.hear.remote(answer and self._packed(member, answer)))
 

@@ -53,7 +53,9 @@ def place() -> Place:
 
 
 class Remote:
-    """Carries the words of one worker. Messages are those of `gpcjax.sweep.executors.base`, and two more:
+    """Carries the words of one worker.
+
+    Messages are those of `gpcjax.sweep.executors.base`, and two more:
 
         ("checkpoint", name, archive)   runs under way were saved in a folder of this name
         ("ended", line)                 the process has ended; why
