@@ -143,17 +143,17 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
                 )
     by_index: dict[int, _Share] = {}
     for share in shares:
-        if (twin := by_index.setdefault(share.shard.index, share)) is not share:
+        if (twin := by_index.setdefault(share.shard.number, share)) is not share:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, and so is {twin.folder}: give one of the two"
             )
     missing = [str(index) for index in range(1, first.shard.of + 1) if index not in by_index]
     if missing:
         more = f" and {len(missing) - 10:,} more" if len(missing) > 10 else ""
-        what = "shard" if len(missing) == 1 else "shards"
-        are = "is" if len(missing) == 1 else "are"
+        if len(missing) == 1:
+            raise UserError(f"shard {missing[0]} of {first.shard.of} is missing: run it, or give its folder")
         raise UserError(
-            f"{what} {', '.join(missing[:10])}{more} of {first.shard.of} {are} missing: run them, or give their folders"
+            f"shards {', '.join(missing[:10])}{more} of {first.shard.of} are missing: run them, or give their folders"
         )
     return shares
 
@@ -199,8 +199,10 @@ def _merged(shares: Sequence[_Share], before: Mapping[str, Any] | None, cells: i
     manifests = [share.manifest for share in shares]
     every = [*([before] if before is not None else []), *manifests]
     machines = [each for one in every for each in (one["machine"], *one.get("further_machines", []))]
-    kinds = {kind_of(each) or str(each): each for each in reversed(machines)}
-    first, *further = reversed(kinds.values())
+    kinds: dict[str, Any] = {}
+    for each in machines:
+        kinds.setdefault(kind_of(each) or str(each), each)
+    first, *further = kinds.values()
     if further:
         tell(f"its rows were made on {len(kinds)} kinds of machine: last bits may differ, see the manifest")
     merged = {

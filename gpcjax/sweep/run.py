@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -355,7 +355,7 @@ def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
             )
 
 
-def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> None:
+def _note_machine(out: Path, manifest: dict[str, Any], here: Mapping[str, Any]) -> None:
     """Adds this machine to a manifest that was begun on one of another kind, and says that bits may differ."""
     kind = machine.kind_of(here)
     known = [manifest["machine"], *manifest.get("further_machines", [])]

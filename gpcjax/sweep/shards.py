@@ -30,15 +30,15 @@ _WORD = re.compile(r"([0-9]{1,9})/([0-9]{1,9})")
 class Shard(NamedTuple):
     """One of several shares, counted from 1."""
 
-    index: int
+    number: int
     of: int
 
     def __str__(self) -> str:
-        return f"{self.index}/{self.of}"
+        return f"{self.number}/{self.of}"
 
     def folder(self, out: Path) -> Path:
         """Its run folder below that of the whole."""
-        return out / SHARDS / f"{self.index}-of-{self.of}"
+        return out / SHARDS / f"{self.number}-of-{self.of}"
 
     def as_json(self) -> dict[str, int]:
         """For a manifest."""
@@ -53,17 +53,17 @@ def shard_of(word: Any, source: str) -> Shard:
     """
     match = _WORD.fullmatch(word.strip()) if isinstance(word, str) else None
     if match is not None:
-        index, of = int(match[1]), int(match[2])
-        if 1 <= index <= of <= MOST:
-            return Shard(index, of)
+        number, of = int(match[1]), int(match[2])
+        if 1 <= number <= of <= MOST:
+            return Shard(number, of)
     raise UserError(f"{source} {shown(word)}: give i/n, the i-th of n shares, as in 1/8 to 8/8")
 
 
 def held_shard(manifest: Mapping[str, Any]) -> Shard | None:
     """Which share a run folder is, None for a whole sweep's."""
     match manifest.get("shard"):
-        case {"index": int(index), "of": int(of)}:
-            return Shard(index, of)
+        case {"number": int(number), "of": int(of)}:
+            return Shard(number, of)
     return None
 
 
@@ -96,7 +96,7 @@ def share_of(manifest: Mapping[str, Any], shard: Shard) -> list[Cell]:
         keys = {key_of(cell, names): cell for cell in plan(from_dict(request["specification"]))}
         # In an order of their own: two specifications that differ in the order of their lists are one.
         new = sorted(keys.keys() - seen, key=lambda key: [*map(str, key)])
-        mine += shares([keys[key] for key in new], shard.of)[shard.index - 1]
+        mine += shares([keys[key] for key in new], shard.of)[shard.number - 1]
         seen |= keys.keys()
     return mine
 

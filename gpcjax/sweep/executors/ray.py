@@ -176,7 +176,6 @@ class _Member:
 
     number: int
     actor: Any
-    began: float
     machine: Machine | None = None
     """Where it is; None until it has a place."""
     kind: str = ""
@@ -242,7 +241,7 @@ class _Crew:
         """Asks for a worker, which begins as soon as a machine has a core for it."""
         patience = max(LOOK_SECONDS, self._desk.workers / CALLS_PER_SECOND)
         actor = self._class.options(num_cpus=1, max_restarts=0, max_task_retries=0).remote()
-        member = self._members[number] = _Member(number, actor, time.monotonic())
+        member = self._members[number] = _Member(number, actor)
         self._call(member, actor.begin.remote(self._parcel, patience))
 
     def _call(self, member: _Member, reference: Any) -> None:
