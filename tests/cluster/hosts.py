@@ -63,18 +63,25 @@ class Host:
         if self._namespace:
             listed = subprocess.run(["ip", "netns", "pids", self._namespace], capture_output=True, text=True)
             return [int(pid) for pid in listed.stdout.split()]
-        found, left = [], [process.pid for process in self._started if process.poll() is None]
-        while left:
-            found.append(left.pop())
-            left += workers_of(found[-1])
-        return found
+        roots = [process.pid for process in self._started if process.poll() is None]
+        return [*roots, *(pid for root in roots for pid in descendants(root))]
 
     def workers(self) -> list[int]:
         """Processes there that compute."""
-        return [pid for pid in self.processes() if b"executors/served.py" in _command(pid) and alive(pid)]
+        return [pid for pid in self.processes() if b"executors/served.py" in command_of(pid) and alive(pid)]
 
 
-def _command(pid: int) -> bytes:
+def descendants(pid: int) -> list[int]:
+    """Processes that this one has started, and those of these."""
+    found, left = [], workers_of(pid)
+    while left:
+        found.append(left.pop())
+        left += workers_of(found[-1])
+    return found
+
+
+def command_of(pid: int) -> bytes:
+    """Its words; nothing if it is gone."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:

@@ -179,6 +179,8 @@ class _Member:
     machine: Machine | None = None
     """Where it is; None until it has a place."""
     kind: str = ""
+    busy: bool = False
+    """Whether it has been given something to do; else nobody waits for it once all is done."""
     has: set[str] = dataclasses.field(default_factory=set)
     """Checkpoints that lie where it is."""
 
@@ -205,11 +207,11 @@ class _Crew:
         self._told: dict[str, float] = {}
 
     def serve(self) -> None:
-        """Until all rows have come and nobody is at work any more."""
+        """Until all rows have come, and nobody is busy any more."""
         for number in range(self._desk.workers):
             self._hire(number)
         idle = time.monotonic()
-        while self._members and not (self._desk.done and not self._at_work()):
+        while any(member.busy for member in self._members.values()) or not self._desk.done:
             stopping.check()
             try:
                 member, future = self._heard.get(timeout=LOOK_SECONDS)
@@ -271,6 +273,8 @@ class _Crew:
                         self._losses[member.number] = 0
                     reply = self._desk.answer(member.number, message)
                     answer = reply if message[0] in ASKS else answer
+        if answer is not None:
+            member.busy = answer != ("stop",)
         if answer == ("stop",):
             del self._members[member.number]
             self._closing.append(member.actor.close.remote())  # its core is free for others then
