@@ -15,6 +15,9 @@
 #:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
+#:   ENGINE    what runs them: processes of this machine, or ray (processes)
+#:   ADDRESS   of the Ray cluster: auto or HOST:PORT (a Ray that is started here)
+#:   SHARD     i/n, the i-th of n shares alone, for gpcjax merge (all)
 #:   KEEP      policies or states of each run, for Python, and to go on from (nothing)
 #:   START     runs begin with what was learned there: a run folder with kept states, a saved learner (with nothing)
 #:   CREDIT    seconds between a step and the advice about it, as the learner reckons
@@ -38,7 +41,8 @@ GPCJAX := .venv/bin/python -m gpcjax
 
 # Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
 FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teacher ORACLE:oracle DELTA:delta \
-	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep START:start OUT:out JOBS:jobs
+	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep START:start OUT:out JOBS:jobs \
+	ENGINE:engine ADDRESS:address SHARD:shard
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)

@@ -261,6 +261,18 @@ def _compare() -> Command:
     )
 
 
+def _merge() -> Command:
+    out = f"the run folder of the whole ({_FOLDER}; default the one FOLDER that holds all shards)"
+    return Command(
+        _TEXTS["merge"],
+        (("", (Flag("--out", out, "OUT", _FOLDER), _JSON)),),
+        word="FOLDER",
+        word_text="run folders of shards, or folders with a folder of them (OUT of the sweep)",
+        needed=True,
+        several=True,
+    )
+
+
 def _play() -> Command:
     flags = (
         Flag(
@@ -296,6 +308,7 @@ _TEXTS = {
     "tune": "search for hyperparameters, and judge the best on other seeds",
     "report": "draw a run folder's table and figures again",
     "compare": "compare run folders, run by run of the same seed",
+    "merge": "put the shards of a sweep together, when all are there, then report",
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
@@ -313,6 +326,7 @@ COMMANDS = {
         _TEXTS["report"], (("", (_JSON,)),), word="OUT", word_text="the run folder", needed=True
     ),
     "compare": _compare(),
+    "merge": _merge(),
     "oracles": Command(
         _TEXTS["oracles"],
         (("", (Flag("--env", f"{_ENVS}, comma list (default: each)", "ENV", _ENVS),)),),
