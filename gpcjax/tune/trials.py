@@ -83,7 +83,7 @@ class Trials:
                     directions=["maximize" if each.larger else "minimize" for each in objectives],
                     load_if_exists=True,
                 )
-                if len(objectives) > 1 or not self._study.metric_names:
+                if not self._study.metric_names:
                     self._study.set_metric_names([each.name for each in objectives])
                 self._study.trials  # noqa: B018  (reads the database)
         except Exception as error:  # sqlalchemy has dozens of them

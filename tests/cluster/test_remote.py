@@ -73,7 +73,9 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, remote, tmp_path)
     cell = parcel[1]
     kind = machine.kind_of(machine.describe())
     orders = Orders(
-        checkpoints="/nowhere/on/this/machine", seconds=1e-9, agree=told(versions(), "the kind of the desk's", None)
+        checkpoints="/nowhere/on/this/machine",
+        seconds=1e-9,
+        agree=told(versions(), "the kind of the desk's", None),
     )
     assert hear(remote)[-1] == ("ready",)
     assert hear(remote, ("program", cell, orders))[-1] == ("next",)

@@ -1,5 +1,8 @@
 """Trials in Optuna's database: the same whatever the process that asks for them goes through."""
 
+import json
+from wsgiref.util import setup_testing_defaults
+
 import pytest
 
 from gpcjax.errors import UserError
@@ -98,3 +101,24 @@ def test_no_database(tmp_path):
     (tmp_path / DATABASE).write_text("what is this")
     with pytest.raises(UserError, match=r"study.db: this database cannot be used \(file is not a database\)"):
         opened(tmp_path)
+
+
+def test_the_dashboard_reads_it(tmp_path):
+    """Optuna's own: the study, its objective and its trials are there."""
+    import optuna_dashboard
+
+    run(tmp_path, 6)
+    app = optuna_dashboard.wsgi(f"sqlite:///{tmp_path / DATABASE}")
+
+    def get(path):
+        environ, said = {"PATH_INFO": path, "REQUEST_METHOD": "GET"}, []
+        setup_testing_defaults(environ)
+        body = b"".join(app(environ, lambda status, headers, *error: said.append(status)))
+        assert said == ["200 OK"], body
+        return json.loads(body)
+
+    (study,) = get("/api/studies")["study_summaries"]
+    assert study["study_name"] == NAME
+    detail = get(f"/api/studies/{study['study_id']}")
+    assert detail["objective_names"] == ["area"] and detail["directions"] == ["maximize"]
+    assert len(detail["trials"]) == 6 and all(trial["state"] == "Complete" for trial in detail["trials"])
