@@ -25,7 +25,7 @@ from gpcjax.sweep.options import (
 )
 from gpcjax.sweep.spec import Given, Unchecked
 from gpcjax.teach.command import PORT, REPEAT, SEED, SPEED
-from gpcjax.tune.command import FLAGS
+from gpcjax.tune.flags import FLAGS
 
 _ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 
@@ -172,7 +172,9 @@ def _tune() -> Command:
     )
     text = "a file of a sweep's settings, with a table [tune] of these flags and [tune.search]; flags win"
     return replace(
-        sweep, groups=(("search", (look, *flags)), *groups, ("", (setting, *switches))), word_text=text
+        sweep,
+        groups=(("search", (look, *flags, _WHERE)), *groups, ("", (setting, *switches))),
+        word_text=text,
     )
 
 

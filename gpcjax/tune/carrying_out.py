@@ -10,9 +10,12 @@ from typing import Any
 
 from gpcjax.report import words
 from gpcjax.report.compare import Comparison
-from gpcjax.report.document import Sheet
+from gpcjax.report.document import Picture, Sheet
+from gpcjax.report.figures import compare_figure, style
+from gpcjax.report.figures.style import Drawing
 from gpcjax.report.run import draw
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.environment import compute_here
 from gpcjax.sweep.executors import Executor, Processes
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.progress import Bar, JsonLines, Watcher
@@ -22,6 +25,7 @@ from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
 from gpcjax.tune.check import CHECK, checked_on, differing
 from gpcjax.tune.command import STATE, Wishes, grid_spec
+from gpcjax.tune.figure import drawn
 from gpcjax.tune.found import Found, found_in
 from gpcjax.tune.objectives import OBJECTIVES
 from gpcjax.tune.searching import SEARCH, Adaptive, search
@@ -32,15 +36,19 @@ from gpcjax.tune.trials import Told, Trials
 class Outcome:
     """What a method came to: the settings, and how it tells of them."""
 
+    usual: SweepSpec
+    """Without what was found."""
     tuned: SweepSpec
-    """The usual specification, with what was found."""
+    """With it."""
+    origin: list[str]
+    """Lines for the file of the best settings."""
     lead: str
     """How it was found, in a sentence."""
     warnings: list[str]
     sheets: Callable[[int], list[Sheet]]
     """Tables of so many rows at most."""
-    draw: Callable[[Path], Any]
-    """Draws its figure into a folder, and gives it for the page."""
+    draw: Callable[[Comparison | None], Drawing | None]
+    """Its figure."""
     files: dict[str, str]
     """Tables, by the names of their files."""
     told: dict[str, Any]
@@ -54,22 +62,17 @@ def carry_out(wishes: Wishes) -> int:
         write_atomic(out / STATE, json.dumps(wishes.told, indent=2) + "\n")
         outcome = _METHODS[wishes.method](wishes, executor)
         best = dataclasses.replace(outcome.tuned, seeds=wishes.check)
-        comments = [
-            outcome.lead,
-            "Its seeds had no part in the choice.",
-            f"    gpcjax sweep {out / page.BEST}",
-        ]
-        for name, text in {**outcome.files, page.BEST: toml.text_of(best, comments)}.items():
+        for name, text in {**outcome.files, page.BEST: toml.text_of(best, outcome.origin)}.items():
             write_atomic(out / name, text)
-        comparison = checked_on(wishes.base, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
+        comparison = checked_on(outcome.usual, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
         said = page.verdict(comparison, wishes.check.words)
         commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
         if comparison is not None:
             folders = [str(out / CHECK / each.name) for each in comparison.folders]
-            by = ",".join(differing(wishes.base, outcome.tuned))
+            by = ",".join(differing(outcome.usual, outcome.tuned))
             commands.append(shlex.join(["gpcjax", "compare", *folders, "--by", by]))
-        pictures = [outcome.draw(out)]
-        title = f"{words.algorithm(wishes.base.algo[0])} on {words.task(wishes.base.env)}, tuned"
+        pictures = _drawn(out, outcome.draw(comparison))
+        title = f"{words.algorithm(outcome.tuned.algo[0])} on {words.task(outcome.tuned.env)}, tuned"
         written = page.write(
             out,
             title,
@@ -106,6 +109,15 @@ def _tell(
     )
     files = ", ".join([page.BEST, written.name, *outcome.files])
     print(words.printable(f"{wishes.out}: {files}", sys.stdout.encoding))
+
+
+def _drawn(out: Path, drawing: Drawing | None) -> list[Picture]:
+    """The figure of a search in its folder, and for its page."""
+    if drawing is None:
+        return []
+    for kind in ("png", "pdf"):
+        write_atomic(out / f"{page.FIGURE}.{kind}", style.image(drawing.figure, kind))
+    return [style.pictured(drawing)]
 
 
 def _watcher(wishes: Wishes) -> Callable[..., Watcher] | None:
@@ -159,21 +171,14 @@ def _of_points(wishes: Wishes, found: Found, told: tuple[Told, ...], lead: str) 
     point = ", ".join(f"{words.plain_symbol(name)} {value:.4g}" for name, value in found.best.point.items())
     lead = f"{lead}; best in {names}: {point}. {_beside(found)}; the best of many looks better than it is."
 
-    def drawn(out: Path) -> Any:
-        from gpcjax.report.figures import style
-        from gpcjax.tune.figure import drawn
-
-        drawing = drawn(found, told)
-        for kind in ("png", "pdf"):
-            write_atomic(out / f"{page.FIGURE}.{kind}", style.image(drawing.figure, kind))
-        return style.pictured(drawing)
-
     return Outcome(
+        usual=wishes.base,
         tuned=with_point(wishes.base, found.best.point),
+        origin=[lead, "Its seeds had no part in the choice.", f"    gpcjax sweep {wishes.out / page.BEST}"],
         lead=lead,
         warnings=page.warnings(found),
         sheets=lambda most: [page.sheet(found, most)],
-        draw=drawn,
+        draw=lambda comparison: drawn(found, told),
         files={page.TABLE: found.table().to_csv(index=False)},
         told={
             "best": found.best.point,
@@ -202,4 +207,31 @@ def _beside(found: Found) -> str:
     return f"{others} tied with it on the same seeds"
 
 
-_METHODS: dict[str, Callable[[Wishes, Executor], Outcome]] = {"tpe": _by_trials, "grid": _by_grid}
+def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
+    assert wishes.runs is not None
+    compute_here()
+    from gpcjax.tune.likelihood import by_likelihood  # which loads jax
+
+    fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, seeds=wishes.check)
+    bounded = [f"{fit.model} model: {', '.join(fit.at_bound)}" for fit in fitted.fits if fit.at_bound]
+    warned = (
+        "Numbers that ended at a bound, which the data do not tell but that they are so large, or so small: "
+    )
+    return Outcome(
+        usual=fitted.usual,
+        tuned=fitted.spec,
+        origin=fitted.comments,
+        lead=f"Kernels by marginal likelihood of what the runs in {wishes.runs} had learned.",
+        warnings=[warned + "; ".join(bounded)] if bounded else [],
+        sheets=lambda most: [fitted.sheet],
+        draw=lambda comparison: None if comparison is None else compare_figure.drawn(comparison),
+        files={},
+        told={"best": dict(fitted.settings)},
+    )
+
+
+_METHODS: dict[str, Callable[[Wishes, Executor], Outcome]] = {
+    "tpe": _by_trials,
+    "grid": _by_grid,
+    "mll": _by_likelihood,
+}

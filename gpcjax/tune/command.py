@@ -9,22 +9,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gpcjax.allowed import COUNT, Anything, Numbers, OneOf, shown
+from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.layout import GIVE_NEW
-from gpcjax.sweep.options import Option, accept, parse
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.options import conditions
 from gpcjax.sweep.plan import count, hash_of
-from gpcjax.sweep.seeds import WORDS, Seeds
-from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, as_dict, make_spec, read_table, read_toml
+from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.spec import (
+    Given,
+    SweepSpec,
+    Unchecked,
+    as_dict,
+    from_dict,
+    make_spec,
+    read_table,
+    read_toml,
+)
 from gpcjax.tune import halving, space
+from gpcjax.tune.flags import TABLE, own_values
 from gpcjax.tune.halving import Rung
-from gpcjax.tune.names import OBJECTIVES, names_of
+from gpcjax.tune.names import names_of
 from gpcjax.tune.space import Space
-
-METHODS = ("tpe", "grid", "mll")
-TABLE = "tune"
-"""The table of a TOML file with the flags of this command."""
 
 STATE = "tune.json"
 """In the folder of a search: what it is, so that only the same one goes on there."""
@@ -34,71 +42,6 @@ SEEDS = 16
 
 HELD_OUT = Seeds(((1000, 1099),))
 """Seeds on which the best is judged, unless somebody says which."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Own:
-    """A flag of this command: what it takes, what it is, and what holds without it."""
-
-    kind: type
-    allowed: Any
-    text: str
-    metavar: str
-    default: Any = None
-    methods: tuple[str, ...] = METHODS
-    """Those that it concerns."""
-
-    @property
-    def help(self) -> str:
-        """The text, with what holds without it."""
-        usual = (
-            ""
-            if self.default is None
-            else f"; default {self.default:g}"
-            if self.kind is float
-            else f"; default {self.default}"
-        )
-        whose = f"{self.methods[0]} alone: " if len(self.methods) == 1 else ""
-        return f"{whose}{self.text} ({self.allowed}{usual})"
-
-
-FLAGS: dict[str, Own] = {
-    "method": Own(str, OneOf(METHODS), "how", "METHOD", METHODS[0]),
-    "objective": Own(
-        str,
-        Anything(", ".join(OBJECTIVES)),
-        "what for; several for a Pareto front",
-        "A,B,...",
-        "area",
-        ("tpe", "grid"),
-    ),
-    "trials": Own(int, COUNT, "how many points", "N", 100, ("tpe",)),
-    "batch": Own(int, Numbers(1, 10_000, whole=True), "of these at once", "N", 16, ("tpe",)),
-    "rungs": Own(
-        str,
-        Anything(halving.FORM),
-        "successive halving, before all seeds and episodes",
-        "4x10,8",
-        methods=("tpe",),
-    ),
-    "eta": Own(float, halving.ETA, "one of so many goes on to the next rung", "ETA", 3.0, ("tpe",)),
-    "sampler_seed": Own(
-        int, Numbers(0, 2**31 - 1, whole=True), "of the sampler's random numbers", "SEED", 0, ("tpe",)
-    ),
-    "check_seeds": Own(
-        Seeds,
-        Anything(WORDS),
-        "on which the best is judged, none of the search's; default 1000-1099",
-        "SEEDS",
-    ),
-    "runs": Own(
-        str,
-        Anything("the path of a run folder with kept states"),
-        "whose dictionaries are fitted",
-        "FOLDER",
-        methods=("mll",),
-    ),
-}
 
 
 class Wishes(NamedTuple):
@@ -116,6 +59,9 @@ class Wishes(NamedTuple):
     sampler_seed: int
     check: Seeds
     runs: Path | None
+    """A folder with what runs had learned, for the method that is fitted to it."""
+    which: dict[str, str]
+    """Which of these, by columns and values."""
     out: Path
     jobs: int
     as_json: bool
@@ -133,6 +79,7 @@ class Wishes(NamedTuple):
             "eta": self.eta,
             "sampler_seed": self.sampler_seed,
             "runs": None if self.runs is None else str(self.runs),
+            "where": self.which,
         }
 
 
@@ -158,22 +105,28 @@ def _wishes(arguments: argparse.Namespace, settings: Mapping[str, Given | Unchec
     path = None if arguments.toml is None else Path(arguments.toml)
     if arguments.quick and path is None:
         raise UserError("--quick takes the table [quick] of a TOML file: give the file")
-    own = _own(arguments, {} if path is None else read_table(path, TABLE), f"{path}: [{TABLE}] ")
+    own = own_values(arguments, {} if path is None else read_table(path, TABLE), f"{path}: [{TABLE}] ")
     where, source = _space(arguments, path)
     given = {} if path is None else read_toml(path, arguments.quick, TABLE)
     given |= settings
     for name in ("rate_from", "keep", "keep_at"):
         if name in given:
             raise UserError(f"{given[name].source}: a search has none, leave it out")
-    method = own["method"]
-    if method != "mll" and not where:
-        raise UserError(f"no search: give --search {space.FORM}, once for each setting")
-    if method == "mll" and where:
-        raise UserError(f"{source}: --method mll finds all it can, leave it out")
-    base = _base(given, method, where, source)
-    seeds = Seeds.of(SEEDS) if "seeds" not in given else base.seeds
-    assert seeds is not None
-    base = dataclasses.replace(base, seeds=seeds)
+    method, which = own["method"], conditions(arguments.where)
+    if method == "mll":
+        if where:
+            raise UserError(f"{source}: --method mll finds all it can, leave it out")
+        base = _base_of_runs(given, own["runs"])
+        which |= {"algo": given["algo"].value[0]} if "algo" in given else {}
+    else:
+        if not where:
+            raise UserError(f"no search: give --search {space.FORM}, once for each setting")
+        if which:
+            raise UserError("--where: it says which runs of --method mll, leave it out")
+        base = _base(given, method, where, source)
+        if "seeds" not in given:
+            base = dataclasses.replace(base, seeds=Seeds(((0, SEEDS - 1),)))
+    seeds = base.seeds
     rungs = halving.rungs_of(own["rungs"], seeds, base.episodes, own["source of rungs"])
     check = HELD_OUT if own["check_seeds"] is None else own["check_seeds"]
     _refuse_common(seeds, check, own["source of check_seeds"])
@@ -191,38 +144,13 @@ def _wishes(arguments: argparse.Namespace, settings: Mapping[str, Given | Unchec
         sampler_seed=own["sampler_seed"],
         check=check,
         runs=None if own["runs"] is None else Path(os.path.expanduser(own["runs"])),
+        which=which,
         out=Path(),
         jobs=given["jobs"].value if "jobs" in given else cores,
         as_json=arguments.json,
     )
     usual = Path("runs", f"tune-{base.env.replace(':', '-').replace('/', '-')}-{hash_of(wishes.told)}")
     return wishes._replace(out=usual if out is None else out)
-
-
-def _own(arguments: argparse.Namespace, table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """The values of this command's flags, and where each of them stood as `source of NAME`; flags win."""
-    written = {str(key).replace("-", "_"): (value, f"{prefix}{key}") for key, value in table.items()}
-    for name, (_, source) in written.items():
-        if name not in (*FLAGS, "search"):
-            raise UserError(f"{source} is no setting of a search: give {', '.join([*FLAGS, 'search'])}")
-    found: dict[str, Any] = {}
-    for name, flag in FLAGS.items():
-        option, text = Option(name, flag.kind, flag.allowed, ""), getattr(arguments, name)
-        source = (
-            f"--{name.replace('_', '-')}" if text is not None or name not in written else written[name][1]
-        )
-        found[f"source of {name}"] = source
-        if text is not None:
-            found[name] = parse(option, text, source)
-        elif name in written:
-            found[name] = accept(option, written[name][0], source)
-        else:
-            found[name] = flag.default
-            continue
-        method = found["method"]
-        if method not in flag.methods:
-            raise UserError(f"{source}: with --method {method} it changes nothing, leave it out")
-    return found
 
 
 def _space(arguments: argparse.Namespace, path: Path | None) -> tuple[Space, str]:
@@ -260,6 +188,22 @@ def _base(given: Mapping[str, Given | Unchecked], method: str, where: Space, sou
     if find("teacher", base.teacher).live:
         raise UserError(f"teacher {base.teacher}: a search needs one that advises by itself")
     return base
+
+
+def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: str | None) -> SweepSpec:
+    """The specification of a folder whose runs are fitted."""
+    if runs is None:
+        raise UserError(
+            "no runs: give --runs FOLDER, a run folder with kept states (gpcjax sweep --keep states)"
+        )
+    for name, setting in given.items():
+        if name not in ("algo", "out", "jobs"):
+            raise UserError(f"{setting.source}: with --method mll the folder of --runs says it, leave it out")
+    if len(given["algo"].value if "algo" in given else ("",)) > 1:
+        raise UserError(f"{given['algo'].source}: give one learner, each has a best of its own")
+    folder = Path(os.path.expanduser(runs))
+    check_report(folder)
+    return from_dict(read_manifest(folder)["specification"])
 
 
 def _refuse_another(wishes: Wishes) -> None:
