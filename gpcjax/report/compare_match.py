@@ -15,7 +15,7 @@ from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import reading
 from gpcjax.sweep.machine import kind_of
-from gpcjax.sweep.options import concerns
+from gpcjax.sweep.options import SCALES, concerns
 from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE
@@ -29,7 +29,9 @@ OWN = ("oracle", "error", "algo")
 _LENGTHS = ("seeds", "episodes")
 """Of a specification; they say how much was run, and not what."""
 
-_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": None}
+_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": None} | {
+    key: [] for key in SCALES
+}
 """What a specification means that does not name them: they came with later versions."""
 
 Value = str | float | bool | tuple[Any, ...] | None

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from gpcjax.allowed import (
     COUNT,
     NON_NEGATIVE,
+    POSITIVE,
     PROBABILITY,
     SWITCH,
     Allowed,
@@ -149,8 +150,27 @@ VARIANTS = (
         "points in a dictionary at most",
         otherwise=_by_task(lambda task: task.max_capacity),
     ),
+    Option(
+        "scaling",
+        float,
+        POSITIVE,
+        "w, what each number of an observation is multiplied by (in GPC-NS, once it is normalised)",
+        series=True,
+        otherwise="the task's, in GPC-NS none",
+    ),
+    Option(
+        "human_scaling",
+        float,
+        POSITIVE,
+        "the same for the human model, of each number of an observation and of the action",
+        series=True,
+        otherwise="scaling, and 1 for the action",
+    ),
 )
-"""Of learners with dictionaries."""
+"""Of learners with dictionaries, or of those that have such an option."""
+
+SCALES = ("scaling", "human_scaling")
+"""The options in `VARIANTS` that are given to learners which have them among their own `options`."""
 
 
 def settings_of(
@@ -200,6 +220,8 @@ OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VAR
 
 def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     """Whether a setting changes anything for a learner with a teacher."""
+    if name in SCALES:
+        return name in learner.options
     if name in {option.name for option in VARIANTS}:
         return learner.dictionary
     mine = {setting.name for setting in (*learner.settings, *CREDIT)}

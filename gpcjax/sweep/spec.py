@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import Setting
+from gpcjax.describe import Setting, TaskSpec
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
@@ -17,6 +17,7 @@ from gpcjax.registry import find
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
+    SCALES,
     TUNING,
     VARIANTS,
     Written,
@@ -67,6 +68,10 @@ class SweepSpec:
     """Who teaches, as `gpcjax.registry` finds it."""
     start: Source | None = None
     """What was learned elsewhere, with which its runs begin; None if with nothing."""
+    scaling: tuple[float, ...] = ()
+    """w of the learners that scale observations, instead of the preset; empty for that one."""
+    human_scaling: tuple[float, ...] = ()
+    """The same of human models, for observation and action."""
 
 
 class Given(NamedTuple):
@@ -241,6 +246,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
         "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
+        **dict.fromkeys(SCALES, ()),
     }
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
@@ -250,9 +256,27 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
 
         fields["start"] = source_of(value["start"], known["start"].source)
     places = {name: setting.source for name, setting in known.items()}
+    for name in SCALES:
+        check_scale(name, fields[name], places.get(name, name), task)
     for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
         check_lateness(names, fields["hyperparameters"], places, task.seconds)
     return SweepSpec(**fields)
+
+
+def check_scale(name: str, factors: tuple[float, ...], source: str, task: TaskSpec) -> None:
+    """Refuse a scaling of another number of factors than the task's inputs have, where the task tells its sizes.
+
+    Raises:
+        UserError: it has others; `source` begins the message.
+    """
+    if not factors or task.sizes is None:
+        return
+    size = task.sizes[0] + (name == "human_scaling")
+    what = "number of an observation" + (" and one for the action" if name == "human_scaling" else "")
+    if len(factors) != size:
+        raise UserError(
+            f"{source}: it has {len(factors)} factors, give {size}: one for each {what} of {task.name}"
+        )
 
 
 def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Setting, ...]]) -> Given:
@@ -274,7 +298,7 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
 
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
     """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
-    later = {"teacher": ORACLE, "start": None}
+    later = {"teacher": ORACLE, "start": None, **dict.fromkeys(SCALES, ())}
     entries = {**asdict(spec), "seeds": spec.seeds.as_json()}.items()
     return _lists({name: value for name, value in entries if name not in later or value != later[name]})
 
