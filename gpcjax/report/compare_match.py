@@ -13,7 +13,7 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
-from gpcjax.sweep import reading
+from gpcjax.sweep import points, reading
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import SCALES, concerns
 from gpcjax.sweep.runfolder import check_report
@@ -131,7 +131,9 @@ def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
     if specification["start"] is not None:
         specification["start"] = Source(**specification["start"]).label
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}
-    given = specification.pop("hyperparameters", {})
+    given = points.given(specification)
+    specification.pop("hyperparameters", None)
+    specification.pop(points.POINTS, None)
     several = {each for each in ("algo", "error", "oracle", "delta", "rate", *given)}
     values = {
         each: tuple(value) if each in several and isinstance(value, list) else (_frozen(value),)

@@ -9,6 +9,7 @@ from gpcjax.report.document import Sheet
 from gpcjax.report.words import algorithm
 from gpcjax.sweep.growth import requests
 from gpcjax.sweep.listing import STRANGE, Contents, RunFolder, commands
+from gpcjax.sweep.points import given
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
 
@@ -42,7 +43,7 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
         "error": _listed(specification["error"]),
         "seeds": str(specification["seeds"]),
         "episodes": str(specification["episodes"]),
-        **{name: _listed(values) for name, values in specification["hyperparameters"].items()},
+        **{name: _listed(values) for name, values in given(specification).items()},
         "cells": f"{held.finished:,} of {manifest['cells']:,}",
         "asked": "once" if len(asked) == 1 else f"{len(asked)} times",
         "parts": f"{held.parts:,}, {_size(held.size)} in all",

@@ -20,13 +20,14 @@ from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns, settings_of
-from gpcjax.sweep.plan import Cell, canonical, hash_of, plan, varying
+from gpcjax.sweep.plan import Cell, canonical, hash_of, joint_of, plan, varying
+from gpcjax.sweep.points import POINTS, Point, names_of, values_of
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
 
 LISTS = ("algo", "oracle", "error", "delta", "rate")
-"""What may get more values, beside `seeds` and `hyperparameters`."""
+"""What may get more values, beside `seeds`, `hyperparameters` and `points`."""
 
 Filled = Mapping[str, Mapping[str, float | None]]
 """Setting -> learner -> the value of its cells; None where it does not concern the learner."""
@@ -45,7 +46,8 @@ def hashes(manifest: Mapping[str, Any]) -> dict[str, Filled]:
 
 def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     """What of a specification cannot be added to the one that a folder holds, as "episodes 30, not 40"."""
-    fixed = [name for name in {**asked, **held} if name not in (*LISTS, "seeds", "hyperparameters")]
+    grow = (*LISTS, "seeds", "hyperparameters", POINTS)
+    fixed = [name for name in {**asked, **held} if name not in grow]
     return [
         f"{name} {_shown(held.get(name))}, not {_shown(asked.get(name))}"
         for name in fixed
@@ -57,10 +59,12 @@ def covering(manifest: Mapping[str, Any], spec: SweepSpec) -> str | None:
     """The hash of a request that asked for all of `spec` already; None if there is none."""
     for each in requests(manifest):
         held = from_dict(each["specification"])
-        names = dict.fromkeys([*held.hyperparameters, *spec.hyperparameters])
-        if not contradictions(each["specification"], as_dict(spec)) and _box(spec, names).within(
-            _box(held, names)
-        ):
+        if contradictions(each["specification"], as_dict(spec)):
+            continue
+        names = dict.fromkeys([*_settings(held), *_settings(spec)])
+        box = _box(held, names)
+        # Points are not every combination, so they are looked at one by one.
+        if all(map(box.holds, plan(spec))) if held.points or spec.points else _box(spec, names).within(box):
             return each["hash"]
     return None
 
@@ -133,24 +137,37 @@ def usual(env: str, algo: str, teacher: str, name: str) -> float | None:
     return float(value) if known else None
 
 
+def _settings(spec: SweepSpec) -> list[str]:
+    """Those that a specification gives values of."""
+    return [*spec.hyperparameters, *names_of(spec.points)]
+
+
 class _Box(NamedTuple):
-    """What a specification asks for: every combination, for each learner."""
+    """What a specification asks for: every combination, for each learner, of values and points."""
 
     seeds: Seeds
     combinations: frozenset[tuple[str, str, float]]
     """Learner, oracle, error."""
     settings: dict[str, dict[str, frozenset[float | None]]]
     """Values by setting and learner."""
+    joint: dict[str, frozenset[Point]]
+    """Points by learner; the empty one for a learner whom they do not concern."""
 
     def holds(self, cell: Cell) -> bool:
         return (
             cell.seed in self.seeds
             and (cell.algo, cell.oracle, cell.error) in self.combinations
             and all(setting_of(cell, name) in values[cell.algo] for name, values in self.settings.items())
+            and self._has_point(cell)
         )
 
+    def _has_point(self, cell: Cell) -> bool:
+        points = self.joint[cell.algo]
+        names = [name for name, _ in next(iter(points))]
+        return not names or tuple((name, setting_of(cell, name)) for name in names) in points
+
     def within(self, other: "_Box") -> bool:
-        """Whether `other`, which has the same settings, asks for all of it."""
+        """Whether `other`, which has the same settings, asks for all of it; neither has points."""
         algos = {algo for algo, *_ in self.combinations}
         return (
             len(self.seeds | other.seeds) == len(other.seeds)
@@ -171,25 +188,28 @@ def _box(spec: SweepSpec, names: Iterable[str]) -> _Box:
         name: {algo: frozenset(_values(spec, algo, name)) for algo in spec.algo}
         for name in ("delta", "rate", *names)
     }
-    return _Box(spec.seeds, frozenset(combinations), settings)
+    joint = {algo: frozenset(joint_of(spec, algo)) for algo in spec.algo}
+    return _Box(spec.seeds, frozenset(combinations), settings, joint)
 
 
 def _values(spec: SweepSpec, algo: str, name: str) -> tuple[float | None, ...]:
     """Those of a setting for one learner."""
     if name in ("delta", "rate"):
         return getattr(spec, name)
-    if name in spec.hyperparameters and concerns(name, find("learner", algo), find("teacher", spec.teacher)):
-        return spec.hyperparameters[name]
+    if concerns(name, find("learner", algo), find("teacher", spec.teacher)):
+        given = spec.hyperparameters.get(name) or values_of(spec.points, name)
+        if given:
+            return given
     return (usual(spec.env, algo, spec.teacher, name),)
 
 
 def _united(specs: Sequence[SweepSpec]) -> SweepSpec:
-    """One specification with all the values of several that differ in nothing else."""
+    """One specification with all the values of several that differ in nothing else, points among them."""
 
     def all_of(each: Iterable[Iterable[Any]]) -> tuple[Any, ...]:
         return tuple(dict.fromkeys(value for values in each for value in values if value is not None))
 
-    names = dict.fromkeys(name for spec in specs for name in spec.hyperparameters)
+    names = dict.fromkeys(name for spec in specs for name in _settings(spec))
     for name in names:
         _refuse_unknown(name, specs)
     return dataclasses.replace(
@@ -199,6 +219,7 @@ def _united(specs: Sequence[SweepSpec]) -> SweepSpec:
         hyperparameters={
             name: all_of(_values(spec, algo, name) for spec in specs for algo in spec.algo) for name in names
         },
+        points=(),
     )
 
 
@@ -208,7 +229,7 @@ def _refuse_unknown(name: str, specs: Sequence[SweepSpec]) -> None:
         teacher = find("teacher", spec.teacher)
         for algo in spec.algo:
             concerned = concerns(name, find("learner", algo), teacher)
-            if concerned and name not in spec.hyperparameters and None in _values(spec, algo, name):
+            if concerned and name not in _settings(spec) and None in _values(spec, algo, name):
                 raise UserError(
                     f"{name} was not given to {algo} in one of the two: what it is then is no number that its rows "
                     "could be told apart by, give a new folder (--out)"

@@ -16,6 +16,7 @@ from gpcjax.sweep.lock import holder
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import Found, names_in, whole_parts
+from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.rows import IDENTITY, cells_of
 from gpcjax.sweep.source import Source
 
@@ -141,7 +142,7 @@ def _command(specification: Mapping[str, Any], out: Path) -> str:
     words = ["gpcjax", "sweep"]
     for name, value in {**specification, **specification.get("hyperparameters", {})}.items():
         option = OPTIONS.get(name)
-        if name == "hyperparameters" or value == [] or value is None:
+        if name in ("hyperparameters", POINTS) or value == [] or value is None:
             continue
         if option is None:
             words += ["--set", f"{name}={_written(value)}"]
@@ -149,7 +150,9 @@ def _command(specification: Mapping[str, Any], out: Path) -> str:
             words += [] if value == option.default else [f"--{'' if value else 'no-'}{option.flag[2:]}"]
         elif name == "env" or _written(value) != _written(_usual(name, specification["env"])):
             words += [option.flag, _written(value)]
-    return shlex.join([*words, "--out", str(out)])
+    joint = specification.get(POINTS)
+    beside = f"  # with its {len(joint)} [[points]] in a file of settings" if joint else ""
+    return shlex.join([*words, "--out", str(out)]) + beside
 
 
 def _usual(name: str, env: str) -> Any:

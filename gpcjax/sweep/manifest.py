@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import points
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.layout import FORMAT, GIVE, GROWN, MANIFEST, UNSEALED, reason, sha256
 from gpcjax.sweep.plan import hash_of
@@ -86,7 +87,11 @@ def read_manifest(out: Path) -> dict[str, Any]:
             raise DamagedManifest(path, what)
     if (version == GROWN) != isinstance(manifest.get("asked"), list):
         raise DamagedManifest(path, "what it was asked for is damaged")
-    if sorted(map(str, manifest["varying"])) != _varying(manifest["specification"]):
+    try:
+        varying = _varying(manifest["specification"])
+    except (TypeError, ValueError, AttributeError, KeyError):
+        raise DamagedManifest(path, "its points are damaged") from None
+    if sorted(map(str, manifest["varying"])) != varying:
         raise DamagedManifest(path, "its varying settings are not those of its specification")
     baselines = manifest["baselines"]
     if not (
@@ -115,7 +120,7 @@ def _sum_of(manifest: Mapping[str, Any]) -> str:
 def _varying(specification: Mapping[str, Any]) -> list[str]:
     """As `gpcjax.sweep.plan.varying`, sorted, of a specification as JSON has it."""
     axes = {name: specification.get(name) for name in ("delta", "rate")}
-    axes |= specification.get("hyperparameters") or {}
+    axes |= points.given(specification)
     return sorted(name for name, values in axes.items() if isinstance(values, list) and len(values) > 1)
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.options import LARGEST, OPTIONS, SCALES, concerns, settings_of
+from gpcjax.sweep.points import Point, cut, names_of, values_of
 from gpcjax.sweep.source import FIELDS as SOURCE
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE, SweepSpec, as_dict
@@ -136,7 +137,8 @@ def count(spec: SweepSpec) -> int:
         UserError: more than a million.
     """
     each = len(spec.seeds) * len(spec.oracle) * len(spec.error) * len(spec.delta) * len(spec.rate)
-    cells = sum(each * math.prod(map(len, _axes(spec, algo).values())) for algo in spec.algo)
+    points = {algo: math.prod(map(len, _axes(spec, algo).values())) for algo in spec.algo}
+    cells = sum(each * number * len(joint_of(spec, algo)) for algo, number in points.items())
     if cells > LARGEST:
         raise UserError(f"{cells:,} cells: give fewer seeds or values, {LARGEST:,} cells are allowed")
     return cells
@@ -144,7 +146,8 @@ def count(spec: SweepSpec) -> int:
 
 def varying(spec: SweepSpec) -> list[str]:
     """The columns that tell cells apart beside algo, oracle, error and seed: settings with more than one value."""
-    axes = {"delta": spec.delta, "rate": spec.rate, **spec.hyperparameters}
+    joint = {name: values_of(spec.points, name) for name in names_of(spec.points)}
+    axes = {"delta": spec.delta, "rate": spec.rate, **spec.hyperparameters, **joint}
     return [name for name, values in axes.items() if len(values) > 1]
 
 
@@ -176,7 +179,14 @@ def canonical(value: object) -> object:
             name: inner if name in OPTIONS and OPTIONS[name].series else canonical(inner)
             for name, inner in value.items()
         }
-    return sorted({json.dumps(item) for item in value}) if isinstance(value, list) else value
+    return sorted({json.dumps(item, sort_keys=True) for item in value}) if isinstance(value, list) else value
+
+
+def joint_of(spec: SweepSpec, algo: str) -> tuple[Point, ...]:
+    """The points of a specification as far as they concern a learner; an empty one where it has none."""
+    learner, teacher = find("learner", algo), find("teacher", spec.teacher)
+    names = frozenset(name for name in names_of(spec.points) if concerns(name, learner, teacher))
+    return cut(spec.points, names)
 
 
 def _axes(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
@@ -185,6 +195,10 @@ def _axes(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
     return {name: values for name, values in named if concerns(name, learner, teacher)}
 
 
-def _points(spec: SweepSpec, algo: str) -> list[tuple[tuple[str, float], ...]]:
+def _points(spec: SweepSpec, algo: str) -> list[Point]:
     axes = _axes(spec, algo)
-    return [tuple(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+    return [
+        (*zip(axes, values, strict=True), *point)
+        for point in joint_of(spec, algo)
+        for values in itertools.product(*axes.values())
+    ]

@@ -14,6 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find
+from gpcjax.sweep import points as joint
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
@@ -27,6 +28,7 @@ from gpcjax.sweep.options import (
     parse,
     settings_of,
 )
+from gpcjax.sweep.points import POINTS, Point
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
 
@@ -72,6 +74,8 @@ class SweepSpec:
     """w of the learners that scale observations, instead of the preset; empty for that one."""
     human_scaling: tuple[float, ...] = ()
     """The same of human models, for observation and action."""
+    points: tuple[Point, ...] = ()
+    """Settings that belong together, instead of presets: each point with each combination of the lists."""
 
 
 class Given(NamedTuple):
@@ -91,6 +95,9 @@ class Unchecked(NamedTuple):
     counts: bool = True
     """Whether it is a setting of this sweep, and not one of a table that is not used."""
 
+
+LATENESS = {*CREDIT, *DELAY}
+"""Settings that must fit together with a task's time: they take lists, but are no part of points."""
 
 QUICK = "quick"
 """A table of settings in a TOML file that make its sweep a small one, used where that is asked for."""
@@ -210,7 +217,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
             "folder as teacher"
         )
     own = settings_of(learners, [teacher])
-    known = {name: _known(name, setting, own) for name, setting in given.items()}
+    known = {name: _known(name, setting, own) for name, setting in given.items() if name != POINTS}
     known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}
     value = {name: setting.value for name, setting in known.items()}
     if teacher.action_size is not None and task.sizes and task.sizes[1] != teacher.action_size:
@@ -225,6 +232,8 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
             f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
             "(--oracle, or oracle = in the TOML file)"
         )
+    fields_of_points = _points(given.get(POINTS), own, known)
+    known |= {name: Given(None, given[POINTS].source) for name in joint.names_of(fields_of_points)}
     for name, setting in known.items():
         if not any(concerns(name, learner, teacher) for learner in learners):
             alone = f"with {' and '.join(algo)} alone it changes nothing"
@@ -251,6 +260,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
+    fields[POINTS] = fields_of_points
     if "start" in known:
         from gpcjax.sweep.sources import source_of  # which reads run folders: only where one is named
 
@@ -296,10 +306,29 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
     return Given(others[-1] if others else first, setting.source)
 
 
+def _points(
+    given: Given | Unchecked | None, own: Mapping[str, tuple[Setting, ...]], alone: Mapping[str, Given]
+) -> tuple[Point, ...]:
+    """The points that were given, each value checked by all learners and teachers that have the setting."""
+
+    def accepted(name: str, value: Any, source: str) -> float:
+        if name not in own or name in LATENESS:
+            known = sorted(own.keys() - LATENESS)
+            raise UserError(f"{source} is no setting of points{suggestion(name, known)}: give {', '.join(known)}")
+        if name in alone:
+            raise UserError(f"{alone[name].source}: it is a setting of the points, too: give it in one place")
+        checked = [accept(option_of(each), value, source) for each in own[name]]
+        if len(checked[-1]) != 1:
+            raise UserError(f"{source} {shown(value)}: give one number for each point")
+        return checked[-1][0]
+
+    return () if given is None else joint.accepted(given.value, given.source, accepted)
+
+
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
     """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
-    later = {"teacher": ORACLE, "start": None, **dict.fromkeys(SCALES, ())}
-    entries = {**asdict(spec), "seeds": spec.seeds.as_json()}.items()
+    later = {"teacher": ORACLE, "start": None, POINTS: [], **dict.fromkeys(SCALES, ())}
+    entries = {**asdict(spec), "seeds": spec.seeds.as_json(), POINTS: joint.as_json(spec.points)}.items()
     return _lists({name: value for name, value in entries if name not in later or value != later[name]})
 
 
@@ -317,7 +346,10 @@ def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
         raise ValueError(f"seeds {shown(specification['seeds'])}")
     numbers = {name: tuple(value) for name, value in hyperparameters.items()}
     start = Source(**specification["start"]) if specification.get("start") else None
-    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers, "start": start})
+    points = joint.from_json(specification.get(POINTS, []))
+    return SweepSpec(
+        **{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points}
+    )
 
 
 def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:
@@ -327,7 +359,7 @@ def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchec
         name, source = key.replace("-", "_"), f"{prefix}{key}"
         if name in accepted:
             raise UserError(f"{source} is given twice, with a dash and with an underscore: give it once")
-        if isinstance(value, Mapping) and name not in OPTIONS:
+        if isinstance(value, Mapping) and name not in (*OPTIONS, POINTS):
             near = suggestion(name, OPTIONS)
             raise UserError(f"{prefix}{shown(key)} is no setting{near}: give {', '.join(OPTIONS)}")
         if name in OPTIONS:
