@@ -141,7 +141,9 @@ def bent(free: Float[Array, " p"], low: Float[Array, " p"], width: Float[Array, 
     return low + width * jax.nn.sigmoid(4.0 / width * free)
 
 
-def unbent(start: Float[Array, " p"], low: Float[Array, " p"], width: Float[Array, " p"]) -> Float[Array, " p"]:
+def unbent(
+    start: Float[Array, " p"], low: Float[Array, " p"], width: Float[Array, " p"]
+) -> Float[Array, " p"]:
     """What is bent to `start`, or where that is at a bound or beyond, to just within: at a bound there is no slope."""
     share = jnp.clip((start - low) / width, 1e-3, 1.0 - 1e-3)
     return 0.25 * width * (jnp.log(share) - jnp.log1p(-share))

@@ -1,12 +1,13 @@
-"""Hyperparameters from dictionaries that were taught, by their marginal likelihood (thesis 2.4.2), one length-scale
-for each input (automatic relevance determination: R&W 2006, section 5.1).
+r"""Hyperparameters from what was taught, by marginal likelihood (thesis 2.4.2), with a length-scale for each input.
+
+That is automatic relevance determination: Rasmussen and Williams (2006), section 5.1.
 
 Where `gpcjax.gp.fit` fits one data set, here are many: the dictionaries of all runs, padded to one capacity and masked.
 They are explained by hyperparameters of their own, or all by the same, whose log likelihood is the sum of theirs.
 
 | symbol | here |
 |---|---|
-| log p(y given X), R&W (2.30) | `log_likelihood`, in nats |
+| log p(y \| X), R&W (2.30) | `log_likelihood`, in nats |
 | its slope, R&W (5.9) | the rule of `_density` |
 | c, l_1 ... l_d, sigma_n^2 | `variance`, `length_scales`, `noise` |
 """
@@ -92,7 +93,7 @@ def log_likelihood(
 def _density(
     matrix: Float[Array, "n n"], targets: Float[Array, " n"], active: Bool[Array, " n"]
 ) -> Float[Array, ""]:
-    """log p of `targets`, zero where not in use, with covariance `matrix`, the identity there: R&W (2.30)."""
+    """Log density of `targets`, zero where not in use, with covariance `matrix`, the identity there: R&W (2.30)."""
     return _density_and_weights(matrix, targets, active)[0]
 
 
@@ -144,9 +145,7 @@ def fit_dictionaries(
         data = Dictionaries(*(leaf.reshape(1, -1, *leaf.shape[2:]) for leaf in data))
     numbers, values = (
         np.asarray(each)
-        for each in _climb(
-            smoothness, data.points, data.targets, data.active, np.log(bounds), np.log(starts)
-        )
+        for each in _climb(smoothness, data.points, data.targets, data.active, np.log(bounds), np.log(starts))
     )
     found = np.where(np.isfinite(values) & np.isfinite(numbers).all(-1), values, -np.inf)
     if not np.isfinite(found.max(1)).all():

@@ -15,8 +15,9 @@ from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points, reading
 from gpcjax.sweep.machine import kind_of
-from gpcjax.sweep.options import SCALES, concerns
+from gpcjax.sweep.options import concerns
 from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE
 

@@ -26,8 +26,9 @@ from gpcjax.learners.packed import pack_learner
 from gpcjax.learners.recipes import Recipe, pack_own
 from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
-from gpcjax.sweep.options import OPTIONS, SCALES
+from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
 

@@ -19,10 +19,10 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.layout import CHECKPOINTS, Say
-from gpcjax.sweep.options import SCALES
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.runfolder import set_aside
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
 
 KIND = "checkpoint"

@@ -7,7 +7,6 @@ tuple without repeats where a list is possible), or raise a `UserError` that beg
 import math
 import os
 import re
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -33,8 +32,10 @@ from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
 from gpcjax.registry import Kind, built_in, choices, find
 from gpcjax.sweep.keeping import WHATS, WHEN
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.seeds import WORDS as SEEDS
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.written import Written
 
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
@@ -42,27 +43,6 @@ LARGEST = int(COUNT.high)
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """How a flag writes numbers: Python's `int` and `float` also take other alphabets' digits, and 1_0 for ten."""
-
-
-class Written(float):
-    """A number as a flag or a file has it, which messages repeat: 1e-400 would read 0.0 in them."""
-
-    text: str
-
-    def __new__(cls, text: str) -> "Written":
-        """Of a text that `float` takes."""
-        number = super().__new__(cls, text)
-        number.text = text
-        return number
-
-    def __repr__(self) -> str:
-        return self.text
-
-    @property
-    def lost(self) -> bool:
-        """Whether float64 has zero in its place, or a subnormal number, which processors may flush to zero."""
-        mantissa = re.split("[eE]", self.text)[0]
-        return abs(self) < sys.float_info.min and any(digit in mantissa for digit in "123456789")
 
 
 @dataclass(frozen=True)
@@ -168,9 +148,6 @@ VARIANTS = (
     ),
 )
 """Of learners with dictionaries, or of those that have such an option."""
-
-SCALES = ("scaling", "human_scaling")
-"""The options in `VARIANTS` that are given to learners which have them among their own `options`."""
 
 
 def settings_of(

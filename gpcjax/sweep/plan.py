@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 from gpcjax.errors import UserError
 from gpcjax.registry import find
-from gpcjax.sweep.options import LARGEST, OPTIONS, SCALES, concerns, settings_of
+from gpcjax.sweep.options import LARGEST, OPTIONS, concerns, settings_of
 from gpcjax.sweep.points import Point, cut, names_of, values_of
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import FIELDS as SOURCE
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE, SweepSpec, as_dict

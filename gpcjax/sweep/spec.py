@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import Setting, TaskSpec
+from gpcjax.describe import Setting
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
@@ -18,10 +18,8 @@ from gpcjax.sweep import points as joint
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
-    SCALES,
     TUNING,
     VARIANTS,
-    Written,
     accept,
     concerns,
     option_of,
@@ -29,8 +27,10 @@ from gpcjax.sweep.options import (
     settings_of,
 )
 from gpcjax.sweep.points import POINTS, Point
+from gpcjax.sweep.scales import SCALES, check_scale
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.written import Written
 
 ORACLE = OPTIONS["teacher"].default
 """The teacher of the thesis (Alg. 4)."""
@@ -273,22 +273,6 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     return SweepSpec(**fields)
 
 
-def check_scale(name: str, factors: tuple[float, ...], source: str, task: TaskSpec) -> None:
-    """Refuse a scaling of another number of factors than the task's inputs have, where the task tells its sizes.
-
-    Raises:
-        UserError: it has others; `source` begins the message.
-    """
-    if not factors or task.sizes is None:
-        return
-    size = task.sizes[0] + (name == "human_scaling")
-    what = "number of an observation" + (" and one for the action" if name == "human_scaling" else "")
-    if len(factors) != size:
-        raise UserError(
-            f"{source}: it has {len(factors)} factors, give {size}: one for each {what} of {task.name}"
-        )
-
-
 def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Setting, ...]]) -> Given:
     """The setting, checked by those of the sweep that have it, if it is none of the built-in ones."""
     if isinstance(setting, Given):
@@ -314,7 +298,9 @@ def _points(
     def accepted(name: str, value: Any, source: str) -> float:
         if name not in own or name in LATENESS:
             known = sorted(own.keys() - LATENESS)
-            raise UserError(f"{source} is no setting of points{suggestion(name, known)}: give {', '.join(known)}")
+            raise UserError(
+                f"{source} is no setting of points{suggestion(name, known)}: give {', '.join(known)}"
+            )
         if name in alone:
             raise UserError(f"{alone[name].source}: it is a setting of the points, too: give it in one place")
         checked = [accept(option_of(each), value, source) for each in own[name]]
@@ -347,9 +333,7 @@ def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
     numbers = {name: tuple(value) for name, value in hyperparameters.items()}
     start = Source(**specification["start"]) if specification.get("start") else None
     points = joint.from_json(specification.get(POINTS, []))
-    return SweepSpec(
-        **{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points}
-    )
+    return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points})
 
 
 def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:
