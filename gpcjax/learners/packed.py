@@ -166,8 +166,8 @@ def _settings(learner: Learner, state: State) -> dict[str, Any]:
 
 def _is_given(learner: GPC, name: str) -> bool:
     """Whether a learner has arrays of its own for a scaling, which most have not."""
-    if isinstance(learner.policy, Renormalised):
-        model = learner.policy if name == "scaling" else learner.human
+    model = learner.policy if name == "scaling" else learner.human
+    if isinstance(model, Renormalised):
         return model.scaling is not None
     return name == "human_scaling" and learner.human_scaling is not None
 
