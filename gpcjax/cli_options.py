@@ -111,7 +111,7 @@ def _help(option: Option, command: str) -> str:
 
 
 def _metavar(option: Option) -> str:
-    if option.many:
+    if option.many or option.series:
         return "A,B,..."
     return "N" if option.kind is int else option.name.upper()
 

@@ -168,6 +168,7 @@ class LearnerSpec:
     | `columns`    | what it measures beside what is measured of all                                      |
     | `dictionary` | it holds points: it lives in blocks of growing capacity, and takes the options of one |
     | `uncertain`  | it knows how uncertain it is (sigma_h), so that a teacher may wait for that           |
+    | `normalises` | it finds out how large observations are: what a task says of that is not for it       |
     | `label`      | as reports write it                                                                  |
     | `defaults`   | values where the task has no preset                                                  |
     """
@@ -179,6 +180,7 @@ class LearnerSpec:
     columns: tuple[Column, ...] = ()
     dictionary: bool = False
     uncertain: bool = False
+    normalises: bool = False
     label: str = ""
     defaults: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
@@ -222,7 +224,7 @@ Spec = TaskSpec | LearnerSpec | TeacherSpec
 
 OF_EVERY_SWEEP = frozenset(
     "env algo teacher error seeds episodes oracle delta rate rate_schedule sparsify on_full max_capacity out jobs "
-    "rate_from keep keep_at checkpoint start time_step credit credit_longest credit_shape".split()
+    "scaling human_scaling rate_from keep keep_at checkpoint start time_step credit credit_longest credit_shape".split()
 )
 """Names of settings that no learner and no teacher can have for its own."""
 

@@ -122,32 +122,45 @@ def _climb_from_each(
     low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
 
     def hyperparameters(free: Float[Array, "3"]) -> Float[Array, "3"]:
-        """L-BFGS knows no bounds: it moves logarithms that a sigmoid bends into their ranges, of slope 1 halfway."""
-        return jnp.exp(low + width * jax.nn.sigmoid(4.0 / width * free))
+        return jnp.exp(bent(free, low, width))
 
     def loss(free: Float[Array, "3"]) -> Float[Array, ""]:
         variance, length_scale, noise = hyperparameters(free)
         return -log_marginal_likelihood(Kernel(variance, length_scale, smoothness), noise, points, targets)
 
     def ascend(start: Float[Array, "3"]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-        share = jnp.clip((start - low) / width, 1e-3, 1.0 - 1e-3)
-        free = minimise(loss, 0.25 * width * (jnp.log(share) - jnp.log1p(-share)))
+        free = minimise(loss, unbent(start, low, width))
         return hyperparameters(free), -loss(free)
 
     # One after the other: together, all would take as many steps, and as many in a line search, as the longest.
     return jax.lax.map(ascend, starts)
 
 
-def minimise(
-    loss: Callable[[Float[Array, " p"]], Float[Array, ""]], start: Float[Array, " p"]
+def bent(free: Float[Array, " p"], low: Float[Array, " p"], width: Float[Array, " p"]) -> Float[Array, " p"]:
+    """L-BFGS knows no bounds: it moves logarithms that a sigmoid bends into their ranges, of slope 1 halfway."""
+    return low + width * jax.nn.sigmoid(4.0 / width * free)
+
+
+def unbent(
+    start: Float[Array, " p"], low: Float[Array, " p"], width: Float[Array, " p"]
 ) -> Float[Array, " p"]:
-    """L-BFGS with its zoom line search, until the gradient vanishes or `MOST_STEPS`."""
+    """What is bent to `start`, or where that is at a bound or beyond, to just within: at a bound there is no slope."""
+    share = jnp.clip((start - low) / width, 1e-3, 1.0 - 1e-3)
+    return 0.25 * width * (jnp.log(share) - jnp.log1p(-share))
+
+
+def minimise(
+    loss: Callable[[Float[Array, " p"]], Float[Array, ""]],
+    start: Float[Array, " p"],
+    tolerance: float = TOLERANCE,
+) -> Float[Array, " p"]:
+    """L-BFGS with its zoom line search, until the gradient's norm is below `tolerance` or `MOST_STEPS`."""
     optimiser = optax.lbfgs()
     value_and_gradient = optax.value_and_grad_from_state(loss)
 
     def unfinished(carry: tuple) -> Array:
         steps, slope = carry[2:]
-        return (steps < MOST_STEPS) & (slope >= TOLERANCE)
+        return (steps < MOST_STEPS) & (slope >= tolerance)
 
     def step(carry: tuple) -> tuple:
         parameters, state, steps, _ = carry

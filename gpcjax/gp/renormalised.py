@@ -59,16 +59,21 @@ class Renormalised(GaussianProcess):
 
     `keeps_weights` says whether the mean is wanted. Static. Without, there is no factor either (0 times 0): such a
     model, of the human, is only asked before a correction, which changes all of its factor, and makes it then.
+    `scaling` is what normalised inputs are multiplied by, one factor for each dimension, or None: then a program
+    compiles to what it is without.
     """
 
     kernel: Kernel
     noise: Float[Array, ""]
     keeps_weights: bool = eqx.field(static=True, default=True)
+    scaling: Float[Array, " d"] | None = None
     normalise: ClassVar[bool] = True
 
     def init(self, capacity: int, scale: Float[Array, " d"]) -> Posterior:
-        """The empty dictionary; its scale is 1 until points vary."""
-        return empty(capacity, jnp.ones_like(scale), jnp.eye(capacity if self.keeps_weights else 0))
+        """The empty dictionary; its scale is `scaling`, or 1, until points vary."""
+        return empty(
+            capacity, self._scaled(jnp.ones_like(scale)), jnp.eye(capacity if self.keeps_weights else 0)
+        )
 
     def explained(
         self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
@@ -120,13 +125,16 @@ class Renormalised(GaussianProcess):
         return jnp.pad(matrix, (0, capacity - old)) + unused
 
     def _refactored(self, data: Posterior) -> Posterior:
-        scale = normalising_scale(data.points, data.active)
+        scale = self._scaled(normalising_scale(data.points, data.active))
         if not self.keeps_weights:
             return dataclasses.replace(data, scale=scale)
         lower, weights = _switch_leading(
             data.capacity, data.count, Renormalised._solve_leading, self, data, scale
         )
         return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
+
+    def _scaled(self, scale: Float[Array, " d"]) -> Float[Array, " d"]:
+        return scale if self.scaling is None else scale * self.scaling
 
     def _factor_leading(self, size: int, data: Posterior, scale: Float[Array, " d"]) -> Float[Array, "m m"]:
         """From the first `size` rows, which hold all points in use."""

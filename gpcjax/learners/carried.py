@@ -82,7 +82,7 @@ def _dictionaries(source: GPC, state: GPCState, learner: GPC, room: tuple[int, i
     policy, human = room
     learner = jax.tree.map(jnp.asarray, learner)  # a sweep has them on the host
     empty = dataclasses.replace(learner, policy_capacity=policy, human_capacity=human).init()
-    scales = _same(source.scaling, learner.scaling)
+    scales = _same((source.scaling, source.human_scaling), (learner.scaling, learner.human_scaling))
     new = GPCState(
         policy=_model(source.policy, state.policy, learner.policy, empty.policy, scales),
         human=_model(source.human, state.human, learner.human, empty.human, scales),

@@ -50,10 +50,19 @@ _GP = (
     Setting("constant_rate", "c_r", NON_NEGATIVE, "constant part of the learning rate (3.5)"),
     Setting("static_rate", "r_c", POSITIVE, "learning rate that replaces the adaptive one", compiled="given"),
     Setting("noise", "sigma_n^2", POSITIVE, "noise variance on both diagonals"),
+    Setting("human_noise", "", POSITIVE, "noise variance on the human model's diagonal, in place of noise"),
 )
 """Without a value, the thesis' (Tables 5.1 to 5.3) holds."""
 
-_GP_OPTIONS = ("scaling", "sparsify", "on_full", "capacity", "policy_capacity", "human_capacity")
+_GP_OPTIONS = (
+    "scaling",
+    "human_scaling",
+    "sparsify",
+    "on_full",
+    "capacity",
+    "policy_capacity",
+    "human_capacity",
+)
 
 _GP_COLUMNS = (
     Column("policy_points", "int", "points in the policies' dictionaries at the episode's end"),
@@ -94,6 +103,7 @@ GPC_NS = LearnerSpec(
     columns=_GP_COLUMNS,
     dictionary=True,
     uncertain=True,
+    normalises=True,
     defaults=_kernels(0.08, 0.2, 1e-3, 0.6, 1.5, 0.05),
 )
 

@@ -63,8 +63,9 @@ def make_learner(
             (`nu` for the policy only).
         **options: `obs_size`, `action_size`, and
             for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
-            `scaling` (w, one factor for each observation dimension), `constant_rate`, `static_rate`, `noise`,
-            `sparsify`, `on_full`;
+            `scaling` (w, one factor for each observation dimension; GPC-NS multiplies by it what it has normalised),
+            `human_scaling` (that of the human model, for observation and action), `constant_rate`, `static_rate`,
+            `noise`, `human_noise`, `sparsify`, `on_full`;
             for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`;
             for D-COACH `learning_rate`, `magnitude`, `buffer_size`, `batch_size`, `replay_every`, `width`, `scaling`;
             for a learner of one's own, its settings.
@@ -109,7 +110,12 @@ def sizes_of(task: TaskSpec) -> dict[str, int]:
 
 def _scaling(spec: LearnerSpec, task: TaskSpec) -> dict[str, Any]:
     """W of a learner that scales its observations, for a task that has no preset and says how large they are."""
-    if "scaling" not in spec.options or task.obs_scale is None or spec.name in task.presets:
+    if (
+        "scaling" not in spec.options
+        or spec.normalises
+        or task.obs_scale is None
+        or spec.name in task.presets
+    ):
         return {}
     return {"scaling": tuple(1.0 / scale for scale in task.obs_scale)}
 
@@ -158,7 +164,9 @@ def _gpc(
     constant_rate: Any,
     static_rate: Any = None,
     noise: Any = DEFAULT_NOISE,
+    human_noise: Any = None,
     scaling: Any = None,
+    human_scaling: Any = None,
     sparsify: Any = True,
     on_full: Any = "error",
     capacity: Any = DEFAULT_CAPACITY,
@@ -171,7 +179,7 @@ def _gpc(
         for name, value in (("policy_capacity", policy_capacity), ("human_capacity", human_capacity))
     )
     policy_nu = checked("policy_nu", policy_nu, float, ALLOWED["policy_nu"])
-    noise = _number("noise", noise)
+    noises = _number("noise", noise), _number("human_noise", noise if human_noise is None else human_noise)
     policy = Kernel(
         variance=_number("policy_variance", policy_variance),
         length_scale=_number("policy_length_scale", policy_length_scale),
@@ -182,10 +190,16 @@ def _gpc(
         length_scale=_number("human_length_scale", human_length_scale),
         smoothness=SQUARED_EXPONENTIAL,
     )
+    weights = None if scaling is None else _vector("scaling", scaling, obs_size)
+    pair = None if human_scaling is None else _vector("human_scaling", human_scaling, obs_size + 1)
+    if normalise:
+        processes = _normalised(policy, human, noises, weights, pair)
+    else:
+        processes = Replacing(policy, noises[0]), _human_model(on_full, human, noises[1])
     return GPC(
-        policy=Renormalised(policy, noise) if normalise else Replacing(policy, noise),
-        human=_human_model(normalise, on_full, human, noise),
-        scaling=_vector("scaling", 1.0 if scaling is None else scaling, obs_size),
+        policy=processes[0],
+        human=processes[1],
+        scaling=jnp.ones(obs_size) if weights is None else weights,
         constant_rate=_number("constant_rate", constant_rate),
         static_rate=None if static_rate is None else _number("static_rate", static_rate),
         obs_size=obs_size,
@@ -194,13 +208,24 @@ def _gpc(
         on_full=on_full,
         policy_capacity=policy_capacity,
         human_capacity=human_capacity,
+        human_scaling=None if normalise else pair,
     )
 
 
-def _human_model(normalise: bool, on_full: str, kernel: Kernel, noise: Array) -> GaussianProcess:
-    """H, of which only the uncertainty is wanted; it replaces points only where a full one is to."""
-    if normalise:
-        return Renormalised(kernel, noise, keeps_weights=False)
+def _normalised(
+    policy: Kernel, human: Kernel, noises: tuple[Array, Array], weights: Array | None, pair: Array | None
+) -> tuple[GaussianProcess, GaussianProcess]:
+    """P and H of GPC-NS; as in GPC, w is that of H too, and the action's factor 1, where H has none of its own."""
+    if pair is None and weights is not None:
+        pair = jnp.append(weights, 1.0)
+    return (
+        Renormalised(policy, noises[0], scaling=weights),
+        Renormalised(human, noises[1], keeps_weights=False, scaling=pair),
+    )
+
+
+def _human_model(on_full: str, kernel: Kernel, noise: Array) -> GaussianProcess:
+    """H of GPC, of which only the uncertainty is wanted; it replaces points only where a full one is to."""
     if on_full == "replace-nearest":
         return Replacing(kernel, noise, keeps_weights=False)
     return Appending(kernel, noise)

@@ -5,7 +5,7 @@
 | P, N_p | `policy`, `GPCState.policy` |
 | H, N_h | `human`, `GPCState.human` |
 | k_p, k_h; c, l, nu | `Kernel`; `variance`, `length_scale`, `smoothness` |
-| w (multiplies the inputs) | `scaling` |
+| w (multiplies the inputs) | `scaling`, `human_scaling` |
 | r_k, c_r, r_c | `Info.rate`, `constant_rate`, `static_rate` |
 | sigma_p, sigma_h | `Info.sigma_policy`, `Info.sigma_human` |
 | sigma_thres | half of the policy's prior standard deviation |
@@ -78,12 +78,14 @@ class GPC(Learner):
     Fields:
         policy, human: the Gaussian processes P (Matern) and H (squared exponential). P keeps weights and, to
             sparsify, replaces points; H replaces them where `on_full` is "replace-nearest".
-        scaling: (obs_size,), w: what observations are multiplied by; not used by GPC-NS.
+        scaling: (obs_size,), w: what observations are multiplied by; GPC-NS has what it needs of it in its processes.
         constant_rate: c_r, added to the adaptive rate (3.5).
         static_rate: r_c, or None: if given it is the whole rate, as in the ablation of Table 5.4.
         sparsify: use SPARS (Alg. 3); otherwise every correction is appended. Static.
         on_full: one of `ON_FULL`. Static.
         policy_capacity, human_capacity: points for which `init` makes room. Static.
+        human_scaling: (obs_size + 1,), what H multiplies observation and action by in GPC; None is w, and 1 for the
+            action, as in the thesis.
     """
 
     policy: GaussianProcess
@@ -95,6 +97,7 @@ class GPC(Learner):
     on_full: str = eqx.field(static=True)
     policy_capacity: int = eqx.field(static=True)
     human_capacity: int = eqx.field(static=True)
+    human_scaling: Float[Array, " pair"] | None = None
 
     joint: ClassVar[bool] = False
 
@@ -220,9 +223,11 @@ def _pair(obs: Float[Array, " obs"], action: Float[Array, ""]) -> Float[Array, "
 
 @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]  (what it takes beyond is for jax.jit)
 def _untaught(learner: GPC) -> GPCState:
-    unscaled = jnp.ones(1)  # the action is not scaled in GPC
+    pair = learner.human_scaling
+    if pair is None:
+        pair = jnp.concatenate([learner.scaling, jnp.ones(1)])  # the thesis does not scale the action in GPC
     policy = learner.policy.init(learner.policy_capacity, learner.scaling)
-    human = learner.human.init(learner.human_capacity, jnp.concatenate([learner.scaling, unscaled]))
+    human = learner.human.init(learner.human_capacity, pair)
     repeat = lambda leaf: jnp.broadcast_to(leaf, (learner.action_size, *leaf.shape))  # noqa: E731
     return GPCState(policy=jax.tree.map(repeat, policy), human=jax.tree.map(repeat, human))
 

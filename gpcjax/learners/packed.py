@@ -20,6 +20,7 @@ from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
 from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
+from gpcjax.gp.renormalised import Renormalised
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.dcoach import DCoach
@@ -31,6 +32,9 @@ from gpcjax.policies.folder import FORMAT, first_line
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
 """The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
+
+_SCALES = ("scaling", "human_scaling")
+"""What GPC and GPC-NS multiply inputs by: on a card, whether there are arrays of it beyond those that all have."""
 
 _BUILT_IN = (GPC, COACH, DCoach)
 
@@ -155,8 +159,17 @@ def _settings(learner: Learner, state: State) -> dict[str, Any]:
         "on_full": learner.on_full,
         "policy_capacity": learner.policy_capacity,
         "human_capacity": learner.human_capacity,
+        **{name: True for name in _SCALES if _is_given(learner, name)},
         "capacities": capacities,
     }
+
+
+def _is_given(learner: GPC, name: str) -> bool:
+    """Whether a learner has arrays of its own for a scaling, which most have not."""
+    model = learner.policy if name == "scaling" else learner.human
+    if isinstance(model, Renormalised):
+        return model.scaling is not None
+    return name == "human_scaling" and learner.human_scaling is not None
 
 
 def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
@@ -182,6 +195,7 @@ def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
         "sparsify": checked("sparsify", card["sparsify"], bool, SWITCH),
         "on_full": checked("on_full", card["on_full"], str, OneOf(ON_FULL)),
         **{name: checked(name, card[name], int, CAPACITY) for name in ("policy_capacity", "human_capacity")},
+        **{name: True for name in _SCALES if checked(name, card.get(name, False), bool, SWITCH)},
         # It may have grown beyond what a new one begins with; the arrays must have this size.
         "capacities": {
             name: checked(f"capacity of {name}", capacities[name], int, COUNT) for name in ("policy", "human")
@@ -203,6 +217,7 @@ def _idle(text: str) -> tuple[Learner, State]:
     static = values.pop("static", False)
     if static:
         values["static_rate"] = 1.0
+    values |= {name: 1.0 for name in _SCALES if values.pop(name, False)}
     if values["algo"] == "coach":
         size = values["obs_size"]
         values |= {"lower": -1.0, "upper": 1.0}

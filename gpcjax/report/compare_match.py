@@ -17,6 +17,7 @@ from gpcjax.sweep import points, reading
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE
 
@@ -29,7 +30,9 @@ OWN = ("oracle", "error", "algo")
 _LENGTHS = ("seeds", "episodes")
 """Of a specification; they say how much was run, and not what."""
 
-_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": None}
+_LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": None} | {
+    key: [] for key in SCALES
+}
 """What a specification means that does not name them: they came with later versions."""
 
 Value = str | float | bool | tuple[Any, ...] | None

@@ -28,6 +28,7 @@ from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
 
@@ -83,6 +84,7 @@ def _recipe(cell: Cell, values: Mapping[str, float], capacity: int | None = None
     spec: LearnerSpec = find("learner", cell.algo)
     names = {setting.name for setting in spec.settings}
     options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options |= {name: list(factors) for name in SCALES if (factors := getattr(cell, name))}
     if spec.dictionary:
         first = _tiers(program_of(cell))[0]
         options |= {

@@ -22,6 +22,7 @@ from gpcjax.sweep.layout import CHECKPOINTS, Say
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.runfolder import set_aside
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
 
 KIND = "checkpoint"
@@ -61,9 +62,9 @@ def cell_as_json(cell: Cell) -> dict[str, Any]:
 def cell_of(entries: Mapping[str, Any]) -> Cell:
     """The cell that `cell_as_json` was given. Raises KeyError, TypeError or ValueError for others."""
     hyperparameters = tuple((str(name), float(value)) for name, value in entries["hyperparameters"])
-    schedule = tuple(map(float, entries["rate_schedule"]))
+    series = {name: tuple(map(float, entries.get(name, ()))) for name in ("rate_schedule", *SCALES)}
     start = Source(**entries["start"]) if entries.get("start") else None
-    return Cell(**{**entries, "hyperparameters": hyperparameters, "rate_schedule": schedule, "start": start})
+    return Cell(**{**entries, "hyperparameters": hyperparameters, **series, "start": start})
 
 
 def survey(

@@ -64,8 +64,8 @@ def _loaded(
     return wanted.loc[:, names].assign(**made).reset_index(drop=True)
 
 
-def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any]) -> Any:
-    """The policy, or the learner and its state, of a row of `kept_rows`.
+def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any], grown: bool = True) -> Any:
+    """The policy, or the learner and its state, of a row of `kept_rows`; a state is `grown` to go on with.
 
     Raises:
         UserError: it is damaged.
@@ -80,4 +80,6 @@ def learned_of(folder: Path, wanted: Kind, row: Mapping[str, Any]) -> Any:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{source} is damaged ({error})") from None
-    return (learner, learner.grow(state)) if wanted == "state" else learner.policy_of(state)
+    if wanted == "policy":
+        return learner.policy_of(state)
+    return learner, learner.grow(state) if grown else state

@@ -7,7 +7,6 @@ tuple without repeats where a list is possible), or raise a `UserError` that beg
 import math
 import os
 import re
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -15,6 +14,7 @@ from typing import Any, NoReturn
 from gpcjax.allowed import (
     COUNT,
     NON_NEGATIVE,
+    POSITIVE,
     PROBABILITY,
     SWITCH,
     Allowed,
@@ -32,8 +32,10 @@ from gpcjax.errors import UserError
 from gpcjax.learners.descriptions import CAPACITY, CREDIT, ON_FULL
 from gpcjax.registry import Kind, built_in, choices, find
 from gpcjax.sweep.keeping import WHATS, WHEN
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.seeds import WORDS as SEEDS
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.written import Written
 
 ENGINES = ("processes", "ray")
 """What runs the workers of a sweep: of this machine, or of a cluster."""
@@ -44,27 +46,6 @@ LARGEST = int(COUNT.high)
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """How a flag writes numbers: Python's `int` and `float` also take other alphabets' digits, and 1_0 for ten."""
-
-
-class Written(float):
-    """A number as a flag or a file has it, which messages repeat: 1e-400 would read 0.0 in them."""
-
-    text: str
-
-    def __new__(cls, text: str) -> "Written":
-        """Of a text that `float` takes."""
-        number = super().__new__(cls, text)
-        number.text = text
-        return number
-
-    def __repr__(self) -> str:
-        return self.text
-
-    @property
-    def lost(self) -> bool:
-        """Whether float64 has zero in its place, or a subnormal number, which processors may flush to zero."""
-        mantissa = re.split("[eE]", self.text)[0]
-        return abs(self) < sys.float_info.min and any(digit in mantissa for digit in "123456789")
 
 
 @dataclass(frozen=True)
@@ -152,8 +133,24 @@ VARIANTS = (
         "points in a dictionary at most",
         otherwise=_by_task(lambda task: task.max_capacity),
     ),
+    Option(
+        "scaling",
+        float,
+        POSITIVE,
+        "w, what each number of an observation is multiplied by (in GPC-NS, once it is normalised)",
+        series=True,
+        otherwise="the task's, in GPC-NS none",
+    ),
+    Option(
+        "human_scaling",
+        float,
+        POSITIVE,
+        "the same for the human model, of each number of an observation and of the action",
+        series=True,
+        otherwise="scaling, and 1 for the action",
+    ),
 )
-"""Of learners with dictionaries."""
+"""Of learners with dictionaries, or of those that have such an option."""
 
 
 def settings_of(
@@ -218,6 +215,8 @@ OPTIONS: dict[str, Option] = {option.name: option for option in EXPERIMENT + VAR
 
 def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     """Whether a setting changes anything for a learner with a teacher."""
+    if name in SCALES:
+        return name in learner.options
     if name in {option.name for option in VARIANTS}:
         return learner.dictionary
     mine = {setting.name for setting in (*learner.settings, *CREDIT)}

@@ -15,6 +15,7 @@ from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.options import LARGEST, OPTIONS, concerns, settings_of
 from gpcjax.sweep.points import Point, cut, names_of, values_of
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import FIELDS as SOURCE
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import ORACLE, SweepSpec, as_dict
@@ -40,6 +41,8 @@ class Cell:
     max_capacity: int
     teacher: str = ORACLE
     start: Source | None = None
+    scaling: tuple[float, ...] = ()
+    human_scaling: tuple[float, ...] = ()
 
 
 class Program(NamedTuple):
@@ -56,6 +59,8 @@ class Program(NamedTuple):
     teacher: str
     compiled: tuple[tuple[str, float | bool | None], ...]
     """What of the settings is compiled in, by name."""
+    scaled: tuple[bool, ...] = (False,) * len(SCALES)
+    """Which scalings are given: whether they are arrays of the program."""
 
 
 def program_of(cell: Cell) -> Program:
@@ -71,6 +76,7 @@ def program_of(cell: Cell) -> Program:
         scheduled=bool(cell.rate_schedule),
         teacher=cell.teacher,
         compiled=_compiled_in(cell.algo, cell.teacher, cell.hyperparameters),
+        scaled=tuple(bool(getattr(cell, name)) for name in SCALES),
     )
 
 
@@ -94,6 +100,11 @@ def plan(spec: SweepSpec) -> list[Cell]:
         UserError: there are more than a million.
     """
     count(spec)
+    teacher = find("teacher", spec.teacher)
+    scales = {
+        algo: {name: getattr(spec, name) for name in SCALES if concerns(name, find("learner", algo), teacher)}
+        for algo in spec.algo
+    }
     return [
         Cell(
             env=spec.env,
@@ -111,6 +122,7 @@ def plan(spec: SweepSpec) -> list[Cell]:
             max_capacity=spec.max_capacity,
             teacher=spec.teacher,
             start=spec.start,
+            **scales[algo],
         )
         for algo in spec.algo
         for oracle, point, error, delta, rate, seed in itertools.product(

@@ -20,7 +20,6 @@ from gpcjax.sweep.options import (
     OPTIONS,
     TUNING,
     VARIANTS,
-    Written,
     accept,
     concerns,
     option_of,
@@ -28,8 +27,10 @@ from gpcjax.sweep.options import (
     settings_of,
 )
 from gpcjax.sweep.points import POINTS, Point
+from gpcjax.sweep.scales import SCALES, check_scale
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.written import Written
 
 ORACLE = OPTIONS["teacher"].default
 """The teacher of the thesis (Alg. 4)."""
@@ -69,6 +70,10 @@ class SweepSpec:
     """Who teaches, as `gpcjax.registry` finds it."""
     start: Source | None = None
     """What was learned elsewhere, with which its runs begin; None if with nothing."""
+    scaling: tuple[float, ...] = ()
+    """w of the learners that scale observations, instead of the preset; empty for that one."""
+    human_scaling: tuple[float, ...] = ()
+    """The same of human models, for observation and action."""
     points: tuple[Point, ...] = ()
     """Settings that belong together, instead of presets: each point with each combination of the lists."""
 
@@ -265,6 +270,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
         "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
+        **dict.fromkeys(SCALES, ()),
     }
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
@@ -275,6 +281,8 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
 
         fields["start"] = source_of(value["start"], known["start"].source)
     places = {name: setting.source for name, setting in known.items()}
+    for name in SCALES:
+        check_scale(name, fields[name], places.get(name, name), task)
     for names in (CREDIT, *((DELAY,) if teacher.name == ORACLE else ())):
         check_lateness(names, fields["hyperparameters"], places, task.seconds)
     return SweepSpec(**fields)
@@ -320,7 +328,7 @@ def _points(
 
 def as_dict(spec: SweepSpec) -> dict[str, Any]:
     """The specification as JSON has it: lists for tuples. What came with later versions is there if it is not usual."""
-    later = {"teacher": ORACLE, "start": None, POINTS: []}
+    later = {"teacher": ORACLE, "start": None, POINTS: [], **dict.fromkeys(SCALES, ())}
     entries = {**asdict(spec), "seeds": spec.seeds.as_json(), POINTS: joint.as_json(spec.points)}.items()
     return _lists({name: value for name, value in entries if name not in later or value != later[name]})
 

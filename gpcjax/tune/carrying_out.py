@@ -40,7 +40,7 @@ class Outcome:
     """Without what was found."""
     tuned: SweepSpec
     """With it."""
-    origin: list[str]
+    origin: Sequence[str]
     """Lines for the file of the best settings."""
     lead: str
     """How it was found, in a sentence."""
