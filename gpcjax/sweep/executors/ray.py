@@ -35,7 +35,7 @@ from gpcjax.sweep.versions import source_digest, versions
 LOOK_SECONDS = 0.5
 """Longest time between two reports of progress."""
 
-CALLS_PER_SECOND = 200.0
+CALLS_PER_SECOND = 100.0
 """Words of all workers are fetched so often, at most, beside questions: they wait longer where there are many."""
 
 SAVES_PER_SECOND = 4.0
