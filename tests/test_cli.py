@@ -15,6 +15,7 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
+from gpcjax.cli import words as grammar
 from gpcjax.report.live import Live
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import specification_hash
@@ -432,7 +433,7 @@ def test_the_module_is_the_command():
 
 def test_argparse_gives_no_help_with_a_percent_sign():
     """Its formatter would fail on one, and only when somebody asks for help."""
-    for action in cli.cli_options.build()._actions:
+    for action in grammar.build()._actions:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 command.format_help()
@@ -461,7 +462,9 @@ def test_json_for_programs(calls, capsys):
         "keeping": Keeping("states", every=5),
         "checkpoint": 0.0,
         "watcher": JsonLines,
-        "meanwhile": cli._prepare_report,
+        "meanwhile": cli.running._prepare_report,
+        "executor": None,
+        "shard": None,
     }
     assert cli.main("report here --json".split()) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(line)

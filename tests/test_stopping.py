@@ -108,7 +108,12 @@ def test_a_signal_is_one_line_and_its_status(start, tmp_path, name, body):
 
 @pytest.mark.parametrize(
     ("name", "module"),
-    [("SIGINT", "gpcjax.cli"), ("SIGINT", "tomllib"), ("SIGTERM", "argparse"), ("SIGHUP", "gpcjax.allowed")],
+    [
+        ("SIGINT", "gpcjax.cli.running"),
+        ("SIGINT", "tomllib"),
+        ("SIGTERM", "argparse"),
+        ("SIGHUP", "gpcjax.allowed"),
+    ],
 )
 def test_a_signal_while_modules_are_imported_is_the_same(tmp_path, name, module):
     number = int(getattr(signal, name))

@@ -14,7 +14,8 @@ PRINTS = """
 import sys
 from types import SimpleNamespace
 from gpcjax import cli
-cli._run = lambda words: print({text!r}) or 0
+from gpcjax.cli import entry
+entry._run = lambda words: print({text!r}) or 0
 sys.argv = ["gpcjax"]
 raise SystemExit(cli.main())
 """
@@ -105,7 +106,7 @@ def test_a_closed_stream_is_not_the_next_file(tmp_path):
 
 def test_warnings_are_no_errors():
     """Libraries warn, also where the environment makes errors of it."""
-    code = "import sys, warnings\nfrom gpcjax import cli\n"
-    code += "cli._run = lambda words: warnings.warn('old', DeprecationWarning) or 0\n"
+    code = "import sys, warnings\nfrom gpcjax import cli\nfrom gpcjax.cli import entry\n"
+    code += "entry._run = lambda words: warnings.warn('old', DeprecationWarning) or 0\n"
     done = run(["-c", code + "sys.argv = ['gpcjax']\nraise SystemExit(cli.main())"], PYTHONWARNINGS="error")
     assert (done.returncode, done.stderr) == (0, b"")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gpcjax.cli_options import parse_words, settings
+from gpcjax.cli.words import parse_words, settings
 from gpcjax.sweep.shards import shard_of
 
 SCRIPTS = Path(__file__).parents[2] / "sweeps" / "cluster"

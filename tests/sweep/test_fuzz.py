@@ -166,8 +166,8 @@ def outcome(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     made = []
-    make_spec = cli.make_spec
-    monkeypatch.setattr(cli, "make_spec", lambda given: made.append(make_spec(given)) or made[-1])
+    make_spec = cli.running.make_spec
+    monkeypatch.setattr(cli.running, "make_spec", lambda given: made.append(make_spec(given)) or made[-1])
 
     def run(*words):
         made.clear()

@@ -113,15 +113,15 @@ def test_the_command_makes_the_same(tmp_path):
         ),
         spec_of(env="cartpole", rate_schedule=[0.5, 0.1], algo="coach", oracle="lqr", error=0.3, delta=0.0),
     ]
-    from gpcjax import cli_options
+    from gpcjax.cli import words
     from gpcjax.sweep.spec import make_spec
 
     for spec in specs:
         (line,) = commands(manifest_of(spec), tmp_path / "it's here")
         import shlex
 
-        arguments = cli_options.parse_words(shlex.split(line)[1:])
-        given = cli_options.settings(arguments)
+        arguments = words.parse_words(shlex.split(line)[1:])
+        given = words.settings(arguments)
         assert given.pop("out").value == str(tmp_path / "it's here")
         assert make_spec(given) == spec
 

@@ -142,7 +142,9 @@ class TestCommandLine:
         """The hash has the numbers, and not where they came from."""
         specs = []
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr("gpcjax.cli._teach", lambda spec, out, jobs: specs.append((spec, out)) or 0)
+        monkeypatch.setattr(
+            "gpcjax.cli.running._teach", lambda spec, out, jobs: specs.append((spec, out)) or 0
+        )
         shutil.copytree(active, tmp_path / "moved")
         numbers = ",".join(map(repr, offered_rates(active)))
         for flag in (f"--rate-from={active}", "--rate-from=moved", f"--rate-schedule={numbers}"):
@@ -151,7 +153,7 @@ class TestCommandLine:
 
     def test_a_toml_file_may_name_it(self, active, monkeypatch, tmp_path):
         specs = []
-        monkeypatch.setattr("gpcjax.cli._teach", lambda spec, out, jobs: specs.append(spec) or 0)
+        monkeypatch.setattr("gpcjax.cli.running._teach", lambda spec, out, jobs: specs.append(spec) or 0)
         (tmp_path / "a.toml").write_text(f'rate_from = "{active}"\n')
         assert cli.main([*FOLLOWER.split(), str(tmp_path / "a.toml"), f"--out={tmp_path / 'out'}"]) == 0
         assert specs[0].rate_schedule == offered_rates(active)
