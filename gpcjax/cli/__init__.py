@@ -1,4 +1,4 @@
-"""The command line: its grammar (`flags`, `commands`, `words`), what commands do (`running`, `showing`), its `entry`."""
+"""The command line: its grammar (`flags`, `commands`, `words`), what commands do (`running`, `showing`), `entry`."""
 
 from gpcjax.cli.entry import BROKEN_PIPE, FAILED, MISTAKE, main
 from gpcjax.cli.running import FAULT, usable_cores

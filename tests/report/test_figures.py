@@ -299,6 +299,19 @@ def test_one_setting_makes_lines_and_three_show_the_best_of_the_third():
     assert shown[0, 0] == max(finals) and len(finals) == 2
 
 
+def test_points_that_are_no_grid_lie_where_they_are():
+    """A search's: not in the fields of a heatmap, most of which would be empty."""
+    pairs = [(0.01, 5.0), (0.1, 2.0), (0.3, 0.5), (2.0, 0.1), (5.0, 1.0)]
+    points = {"gpc": [{"policy_length_scale": x, "human_length_scale": y} for x, y in pairs]}
+    frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=4, length=6, points=points)
+    axis = grids.final_returns(summary_of(frame, list(points["gpc"][0]))).figure.axes[0]
+    (drawn_points,) = axis.collections
+    assert not axis.images and {tuple(pair) for pair in drawn_points.get_offsets().tolist()} == set(pairs)
+    assert axis.get_xscale() == axis.get_yscale() == "log"
+    (star,) = [line for line in axis.lines if line.get_marker() == "*"]
+    assert (star.get_xdata()[0], star.get_ydata()[0]) in pairs
+
+
 def test_heatmap_with_holes_and_equal_values():
     points = synthetic.length_scale_grid((0.1, 0.2), (0.1, 0.2))
     frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=2, length=6, points=points)

@@ -58,6 +58,11 @@ class _Fields(NamedTuple):
     best: Bool[np.ndarray, "y x"]
     tied: Bool[np.ndarray, "y x"]
 
+    @property
+    def is_scattered(self) -> bool:
+        """Whether few of its fields have runs, as where a search chose its points: they are no grid."""
+        return bool(np.isnan(self.final).mean() > 0.6)
+
 
 def final_returns(summary: Summary) -> Drawing | None:
     """Mean over runs of the final return over the grid, a panel for each algorithm, oracle and error rate.
@@ -125,7 +130,8 @@ def _draw_heatmaps(
         return
     scale = Normalize(min(known), max(known))
     for (panel, axis), field in zip(drawn, fields, strict=True):
-        _heatmap(axis, panel.axes, field, scale)
+        draw = _scatter if field.is_scattered else _heatmap
+        draw(axis, panel.axes, field, scale)
     bar = figure.colorbar(
         ScalarMappable(scale, COLOURS),
         ax=[axis for _, axis in drawn],
@@ -178,6 +184,26 @@ def _heatmap(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize)
             axis.text(
                 place[1], place[0], text, color=_ink(scale(value)), fontsize=size, ha="center", va="center"
             )
+
+
+def _scatter(axis: Axes, names: Sequence[str], field: _Fields, scale: Normalize) -> None:
+    """Points where their settings lie, by factors where these are large."""
+    up, across = np.nonzero(~np.isnan(field.final))
+    x, y = np.asarray(field.x)[across], np.asarray(field.y)[up]
+    shown = field.final[up, across]
+    axis.scatter(x, y, c=shown, s=16, cmap=COLOURS, norm=scale, linewidths=0.3, edgecolors=style.INK)
+    for mark, size, which in (("o", 1.2, field.tied & ~field.best), ("*", 9, field.best)):
+        line, column = np.nonzero(which)
+        colour = "white" if mark == "*" else _ink(1.0)
+        places = np.asarray(field.x)[column], np.asarray(field.y)[line]
+        axis.plot(
+            *places, mark, color=colour, markeredgecolor=style.INK, markeredgewidth=0.5, markersize=size
+        )
+    for values, set_scale in ((field.x, axis.set_xscale), (field.y, axis.set_yscale)):
+        if values[0] > 0 and values[-1] >= 5 * values[0]:
+            set_scale("log")
+    axis.set_xlabel(words.math_symbol(names[0]))
+    axis.set_ylabel(words.math_symbol(names[1]))
 
 
 def _draw_lines(drawn: Sequence[tuple[_Panel, Axes]], summary: Summary, label: str) -> bool:
