@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from gpcjax import load
 from gpcjax.sweep.seeds import LARGEST_SEED, Seeds
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.sweep.store import Store
@@ -83,3 +84,29 @@ def test_from_bad_length_scales_it_finds_the_performance_of_the_thesis(tmp_path)
     assert area["pairs"] == 100
     # Of 2,500 steps: not worse than the thesis's values by more than 3 in a hundred.
     assert area["difference_upper"] > 0 or area["difference"] > -75
+
+
+@pytest.mark.slow
+def test_killed_again_and_again_it_comes_to_the_same(tmp_path):
+    """kill -9 of a real search, at other moments each time."""
+    words = "tune --env mountaincar --algo coach --search beta=5:60 --search magnitude=1:10 --trials 8 --batch 4".split()
+    words += "--seeds 2 --episodes 4 --check-seeds 100-101 --rungs 1 --eta 2 --jobs 1".split()
+
+    def start(out):
+        given = [sys.executable, "-m", "gpcjax", *words, "--out", str(tmp_path / out)]
+        return subprocess.Popen(given, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+    whole = start("whole")
+    assert whole.wait(600) == 0, whole.stderr.read()
+    for seconds in (2.0, 6.0, 9.0, 12.0):
+        child = start("pieces")
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(seconds)
+            raise subprocess.TimeoutExpired("it was done before", seconds)
+        child.kill()
+        child.communicate()
+    last = start("pieces")
+    assert last.wait(600) == 0, last.stderr.read()
+    assert (tmp_path / "pieces" / "tune.csv").read_bytes() == (tmp_path / "whole" / "tune.csv").read_bytes()
+    rows = [load(tmp_path / out / "search") for out in ("whole", "pieces")]
+    assert rows[0].equals(rows[1]) and len(rows[0]) > 0
