@@ -1,5 +1,6 @@
 """The best of a grid as a file, and a real search."""
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -89,24 +90,23 @@ def test_from_bad_length_scales_it_finds_the_performance_of_the_thesis(tmp_path)
 @pytest.mark.slow
 def test_killed_again_and_again_it_comes_to_the_same(tmp_path):
     """kill -9 of a real search, at other moments each time."""
-    words = "tune --env mountaincar --algo coach --search beta=5:60 --search magnitude=1:10 --trials 8 --batch 4".split()
-    words += "--seeds 2 --episodes 4 --check-seeds 100-101 --rungs 1 --eta 2 --jobs 1".split()
+    words = (
+        "tune --env mountaincar --algo coach --search beta=5:60 --search magnitude=1:10 --trials 8".split()
+    )
+    words += "--batch 4 --seeds 2 --episodes 4 --check-seeds 100-101 --rungs 1 --eta 2 --jobs 1".split()
 
     def start(out):
         given = [sys.executable, "-m", "gpcjax", *words, "--out", str(tmp_path / out)]
-        return subprocess.Popen(given, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        return subprocess.Popen(given, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-    whole = start("whole")
-    assert whole.wait(600) == 0, whole.stderr.read()
+    assert start("whole").wait(600) == 0
     for seconds in (2.0, 6.0, 9.0, 12.0):
         child = start("pieces")
-        with pytest.raises(subprocess.TimeoutExpired):
+        with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(seconds)
-            raise subprocess.TimeoutExpired("it was done before", seconds)
         child.kill()
-        child.communicate()
-    last = start("pieces")
-    assert last.wait(600) == 0, last.stderr.read()
+        child.wait()
+    assert start("pieces").wait(600) == 0
     assert (tmp_path / "pieces" / "tune.csv").read_bytes() == (tmp_path / "whole" / "tune.csv").read_bytes()
     rows = [load(tmp_path / out / "search") for out in ("whole", "pieces")]
     assert rows[0].equals(rows[1]) and len(rows[0]) > 0
