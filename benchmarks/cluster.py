@@ -152,7 +152,12 @@ def block(cells: int, jobs: int) -> dict[str, float]:
     finally:
         ray._Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
     blocks = cells / 16 / jobs
-    return {"cells": cells, "workers": jobs, "seconds": round(seconds, 1), "ms_per_block": round(1e3 * seconds / blocks, 1)}
+    return {
+        "cells": cells,
+        "workers": jobs,
+        "seconds": round(seconds, 1),
+        "ms_per_block": round(1e3 * seconds / blocks, 1),
+    }
 
 
 def two_hosts() -> dict[str, float]:
@@ -166,7 +171,16 @@ def two_hosts() -> dict[str, float]:
         def seconds(words: list[str], start: Any, name: str) -> float:
             for turn in range(2):  # the first one fills the cache of compiled programs
                 began = time.monotonic()
-                command = ["-m", "gpcjax", "sweep", *SWEEP, *words, "--out", f"{folder}/{name}{turn}", "--json"]
+                command = [
+                    "-m",
+                    "gpcjax",
+                    "sweep",
+                    *SWEEP,
+                    *words,
+                    "--out",
+                    f"{folder}/{name}{turn}",
+                    "--json",
+                ]
                 process = start(command)
                 last = [json.loads(line) for line in process.communicate()[0].splitlines()]
                 assert process.returncode == 0
@@ -192,14 +206,20 @@ def two_hosts() -> dict[str, float]:
 
 def main() -> None:
     """Measures the parts that are named, or all, a line of JSON each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("parts", nargs="*", choices=["driver", "block", "hosts", []], default=[])
     parts = parser.parse_args().parts or ["driver", "block", "hosts"]
     if "driver" in parts:
         for cells, jobs in ((20_000, 10), (80_000, 10), (80_000, 1000)):
             # In a process of its own: memory that another one has left would be used again.
             code = f"import json, benchmarks.cluster as c; print(json.dumps(c.driver({cells}, {jobs})))"
-            print(subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True).stdout.strip())
+            print(
+                subprocess.run(
+                    [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True
+                ).stdout.strip()
+            )
     if "block" in parts:
         print(json.dumps(block(4_000, 1)))
     if "hosts" in parts:
@@ -208,5 +228,3 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
-
-

@@ -105,7 +105,10 @@ def simulate(machines: int, cells: int, seconds: float, way: Way = NOW, seed: in
 def linear_until(cells_per_machine: int, seconds: float, way: Way = NOW) -> int:
     """The number of machines up to which nine tenths of them are used, in steps of a quarter."""
     machines = 8
-    while machines < 1 << 17 and simulate(machines, cells_per_machine * machines, seconds, way).efficiency >= 0.9:
+    while (
+        machines < 1 << 17
+        and simulate(machines, cells_per_machine * machines, seconds, way).efficiency >= 0.9
+    ):
         machines = machines * 5 // 4
     return machines
 
@@ -135,7 +138,9 @@ def _time(seconds: float) -> str:
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cells", type=int, default=1_000_000)
     parser.add_argument("--seconds", type=float, default=2.0, help="of a cell")
     given = parser.parse_args()
@@ -145,5 +150,3 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
-
-

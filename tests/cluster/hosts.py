@@ -42,7 +42,9 @@ class Host:
     def start(self, words: Sequence[str], **options) -> subprocess.Popen[bytes]:
         """A process there."""
         inside = ["ip", "netns", "exec", self._namespace] if self._namespace else []
-        process = subprocess.Popen([*inside, *words], env=self._environment, start_new_session=True, **options)
+        process = subprocess.Popen(
+            [*inside, *words], env=self._environment, start_new_session=True, **options
+        )
         self._started.append(process)
         return process
 

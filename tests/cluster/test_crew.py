@@ -23,6 +23,9 @@ CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
 OTHER = {**HERE.machine, "vector_features": "none at all"}
 
 
+NONE = Orders()
+
+
 def rows_of(cell):
     return CellRows(cell, np.array([1]), ["ok"], {"length": np.array([7])}, {})
 
@@ -66,12 +69,20 @@ class Gone(Good):
         raise RuntimeError("The actor died\nbecause its node has died")
 
 
-def served(hire, jobs=1, orders=Orders()):
+def served(hire, jobs=1, orders=NONE):
     """Serves a desk with these actors; gives rows, notes, machines and the fake."""
     got, notes, machines = [], [], []
     fake = FakeRay(hire)
     desk = Desk(
-        CELLS, [], jobs, got.append, lambda *_: None, lambda _: None, notes.append, orders, on_machine=machines.append
+        CELLS,
+        [],
+        jobs,
+        got.append,
+        lambda *_: None,
+        lambda _: None,
+        notes.append,
+        orders,
+        on_machine=machines.append,
     )
     crew = ray._Crew(fake, desk)
     crew.serve()
@@ -85,13 +96,17 @@ def test_cells_of_a_worker_that_is_lost_go_to_another_one():
     assert sorted(rows.cell.seed for rows in got) == [0, 1, 2, 3]
     assert len(fake.actors) == 2 and fake.killed == [fake.actors[0]]
     (note,) = notes
-    assert note.startswith(f"a worker on {HERE.name} is lost") and note.endswith("(a worker process was killed)")
+    assert note.startswith(f"a worker on {HERE.name} is lost") and note.endswith(
+        "(a worker process was killed)"
+    )
 
 
 def test_a_machine_that_is_lost_before_it_began():
     got, notes, _, fake = served(lambda number: Gone() if number < 3 else Good())
     assert len(got) == 4 and len(fake.actors) == 4
-    assert notes == ["a worker on the cluster is lost, its runs go to others (The actor died)"]  # once, not thrice
+    assert notes == [
+        "a worker on the cluster is lost, its runs go to others (The actor died)"
+    ]  # once, not thrice
 
 
 def test_one_that_is_lost_again_and_again_ends_the_sweep():
@@ -148,7 +163,9 @@ class TestCheckpoints:
         )
         assert len(got) == 4
         sent = [each for each in fake.actors[1].got if each[0] and each[0][0] == "cells" and each[0][1]]
-        places = {cell: place for (_, _, *more), _ in sent for cell, place in (more[0] if more else {}).items()}
+        places = {
+            cell: place for (_, _, *more), _ in sent for cell, place in (more[0] if more else {}).items()
+        }
         archives = {name for _, given in sent for name in given}
         if changes:  # on another kind of machine its bits would be neither of the two
             assert not places and not archives
@@ -161,7 +178,9 @@ class TestCheckpoints:
         name, packed = archive
         first = [("checkpoint", name, packed), ("checkpoint", "no_such", packed)]
         _, notes, _, _ = served(lambda number: Good(first=first), orders=orders)
-        assert len(notes) == 1 and notes[0].startswith("no checkpoint: ")  # the name is not that of what is in it
+        assert len(notes) == 1 and notes[0].startswith(
+            "no checkpoint: "
+        )  # the name is not that of what is in it
         assert [path.name for path in (tmp_path / "out" / "checkpoints").iterdir()] == [name]
 
     def test_where_many_save_each_does_it_less_often(self, orders):

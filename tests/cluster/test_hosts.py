@@ -17,7 +17,19 @@ from tests.cluster.test_ray import assert_same_rows
 
 pytestmark = pytest.mark.slow
 SETTINGS = {"env": "lunarlander", "algo": "coach", "seeds": 8, "episodes": 40}
-WORDS = ["--env", "lunarlander", "--algo", "coach", "--seeds", "8", "--episodes", "40", "--checkpoint", "1", "--json"]
+WORDS = [
+    "--env",
+    "lunarlander",
+    "--algo",
+    "coach",
+    "--seeds",
+    "8",
+    "--episodes",
+    "40",
+    "--checkpoint",
+    "1",
+    "--json",
+]
 
 
 @pytest.fixture(scope="module")

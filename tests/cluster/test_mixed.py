@@ -33,7 +33,9 @@ class TestAStore:
 
     def test_a_part_has_rows_of_one_kind(self, store, tmp_path):
         cells = plan(SPEC)
-        store.append([dataclasses.replace(stored(cell), machine=KINDS[1] * (cell.seed % 2)) for cell in cells[:6]])
+        store.append(
+            [dataclasses.replace(stored(cell), machine=KINDS[1] * (cell.seed % 2)) for cell in cells[:6]]
+        )
         assert sorted(origin.machine for origin in origins_of(tmp_path)) == sorted(KINDS)
         assert store.machines == set(KINDS) and store.cells == 6
 

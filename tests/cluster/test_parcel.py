@@ -56,7 +56,9 @@ def opened(cells, tmp_path):
 
 
 def test_what_is_built_in_or_installed_stays(here, tmp_path):
-    assert opened([CELL, named(env="gym:Pendulum-v1", algo="numpy:array", oracle="json:loads")], tmp_path) == ([], {})
+    assert opened(
+        [CELL, named(env="gym:Pendulum-v1", algo="numpy:array", oracle="json:loads")], tmp_path
+    ) == ([], {})
     assert (tmp_path / "there" / CODE).is_dir()
 
 
@@ -76,7 +78,9 @@ def test_folders_and_files_by_the_names_that_they_have_here(here, tmp_path):
     files, paths = opened([*cells, *cells], tmp_path)
     assert len(files) == 4 and not any("checkpoints" in name for name in files)
     assert set(paths) == {"policy", str(here / "policy"), "record.jsonl", str(here / "states")}
-    assert os.path.isfile(paths["record.jsonl"]) and os.path.isfile(os.path.join(paths["policy"], "card.json"))
+    assert os.path.isfile(paths["record.jsonl"]) and os.path.isfile(
+        os.path.join(paths["policy"], "card.json")
+    )
 
 
 def test_what_is_too_large(here, monkeypatch):
@@ -87,7 +91,11 @@ def test_what_is_too_large(here, monkeypatch):
 
 def test_a_path_lies_where_it_was_sent_to_and_a_tilde_at_home(tmp_path):
     (tmp_path / "policy").mkdir()
-    code = "from gpcjax.elsewhere import path_here; print(path_here('mine'), path_here('~/x'), path_here('y'))"
+    code = (
+        "from gpcjax.elsewhere import path_here; print(path_here('mine'), path_here('~/x'), path_here('y'))"
+    )
     environment = {**os.environ, elsewhere.VARIABLE: json.dumps({"mine": "/there/mine"}), "HOME": "/home/me"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["/there/mine", "/home/me/x", "y"]

@@ -39,13 +39,19 @@ def test_a_worker_that_is_killed_costs_no_rows(tmp_path):
     command = [sys.executable, "-m", "gpcjax", "sweep", *WORDS, "--engine", "ray", "--jobs", "2", "--json"]
     environment = {**os.environ, "RAY_TMPDIR": "/tmp"}
     with subprocess.Popen(
-        [*command, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+        [*command, "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
     ) as running:
         killed, events = [], []
         for line in running.stdout:
             events.append(json.loads(line))
             if not killed and events[-1].get("env_steps"):
-                killed = [pid for pid in descendants(running.pid) if b"executors/served.py" in command_of(pid)][:1]
+                killed = [
+                    pid for pid in descendants(running.pid) if b"executors/served.py" in command_of(pid)
+                ][:1]
                 os.kill(killed[0], signal.SIGKILL)
         errors = running.stderr.read()
         assert running.wait() == 0, errors
@@ -65,7 +71,9 @@ def test_a_worker_that_is_killed_costs_no_rows(tmp_path):
 def test_what_an_engine_is():
     assert executor_of(None, None, 3) is None and executor_of("processes", None, 3) is None
     assert isinstance(executor_of("ray", None, 3), Executor) and executor_of("ray", None, 3).jobs == 3
-    with pytest.raises(UserError, match=r"^--address auto: without engine ray it changes nothing, give --engine ray"):
+    with pytest.raises(
+        UserError, match=r"^--address auto: without engine ray it changes nothing, give --engine ray"
+    ):
         executor_of(None, "auto", None, "--address")
     with pytest.raises(UserError, match=r"^engine 'dask': give processes or ray$"):
         executor_of("dask", None, None)
@@ -75,9 +83,14 @@ def test_what_an_engine_is():
 
 def test_without_ray_it_is_one_line(monkeypatch, tmp_path, capsys):
     real = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "ray" else real(name, *more))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *more: None if name == "ray" else real(name, *more)
+    )
     assert cli.main(["sweep", *WORDS, "--engine", "ray", "--out", str(tmp_path / "out")]) == cli.MISTAKE
-    assert capsys.readouterr().err == "gpcjax: error: engine ray: Ray is not installed: pip install 'gpcjax[cluster]'\n"
+    assert (
+        capsys.readouterr().err
+        == "gpcjax: error: engine ray: Ray is not installed: pip install 'gpcjax[cluster]'\n"
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -85,7 +98,10 @@ def test_the_words_of_the_command(tmp_path, capsys):
     given = ["--dry-run", "--out", str(tmp_path / "out")]
     assert cli.main(["sweep", *WORDS, *given, "--engine", "ray", "--shard", "2/4"]) == 0
     said = capsys.readouterr().out
-    assert said == f"shard 2/4 of 4 cells of lunarlander, 20 episodes each, in a Ray, into {tmp_path}/out/shards/2-of-4\n"
+    assert (
+        said
+        == f"shard 2/4 of 4 cells of lunarlander, 20 episodes each, in a Ray, into {tmp_path}/out/shards/2-of-4\n"
+    )
     for words, message in (
         (["--engine", "dask"], "--engine 'dask': give processes or ray"),
         (["--address", "auto"], "--address auto: without engine ray it changes nothing"),
@@ -104,12 +120,16 @@ def test_an_address_where_no_ray_is(monkeypatch):
             return False
 
         def init(self, **options):
-            raise ConnectionError("Could not find any running Ray instance.\nPlease specify the one to connect to.")
+            raise ConnectionError(
+                "Could not find any running Ray instance.\nPlease specify the one to connect to."
+            )
 
     from gpcjax.sweep.executors import ray
 
     monkeypatch.setattr(ray, "_library", Library)
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(UserError, match=r"^address auto: no Ray .*\(Could not find any .* connect to\.\): start one"):
+    with pytest.raises(
+        UserError, match=r"^address auto: no Ray .*\(Could not find any .* connect to\.\): start one"
+    ):
         _ = Ray("auto").jobs
     assert signal.getsignal(signal.SIGTERM) == before

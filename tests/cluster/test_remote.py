@@ -74,4 +74,6 @@ def test_its_end_has_a_reason(parcel, monkeypatch, tmp_path):
         assert hear(remote)[-1] == ("ready",)
         remote._worker.process.send_signal(signal.SIGSEGV)
         word, line = hear(remote)[-1]
-    assert word == "ended" and line.startswith("a worker process was ended by SIGSEGV, and the compiled programs")
+    assert word == "ended" and line.startswith(
+        "a worker process was ended by SIGSEGV, and the compiled programs"
+    )

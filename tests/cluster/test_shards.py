@@ -16,7 +16,7 @@ from gpcjax.sweep.plan import plan, program_of, varying
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.run import new_manifest
-from gpcjax.sweep.shards import Shard, check_shard, share_of, shard_of, shares
+from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of, shares
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
 
@@ -66,7 +66,9 @@ class TestShares:
         assert sum(map(len, after)) == len(set().union(*after)) == 3 * 2 * 80
 
 
-@pytest.mark.parametrize("word", ["", "3", "0/4", "5/4", "-1/4", "1/0", "a/b", "1/4/2", "1/100001", "1.0/2", 3, None])
+@pytest.mark.parametrize(
+    "word", ["", "3", "0/4", "5/4", "-1/4", "1/0", "a/b", "1/4/2", "1/100001", "1.0/2", 3, None]
+)
 def test_a_shard_that_is_none(word):
     with pytest.raises(UserError, match=r"^--shard .*: give i/n, the i-th of n shares, as in 1/8 to 8/8$"):
         shard_of(word, "--shard")
@@ -83,7 +85,13 @@ def made(out, spec, shard, kind=""):
     manifest = new_manifest(spec, varying(spec), 0)
     cells = share_of(manifest, shard)
     numbers = {"mean": 1.0, "std": 0.5, "n": 100}
-    manifest |= {"shard": shard.as_json(), "cells": len(cells), "complete": True, "env_steps": 100, "wall_time_s": 2.0}
+    manifest |= {
+        "shard": shard.as_json(),
+        "cells": len(cells),
+        "complete": True,
+        "env_steps": 100,
+        "wall_time_s": 2.0,
+    }
     manifest["baselines"] = {"idle": numbers, "oracles": {"pump": numbers}}
     if kind:
         manifest["machine"] = {**machine.describe(), "cpu_model": kind}
@@ -94,7 +102,9 @@ def made(out, spec, shard, kind=""):
 
 
 def stored(cell):
-    names = "returns length corrections rate_sum asked chance_sum policy_points human_points clipped full".split()
+    names = (
+        "returns length corrections rate_sum asked chance_sum policy_points human_points clipped full".split()
+    )
     episodes = {name: np.array([float(cell.seed)]) for name in names}
     corrections = {name: np.zeros((0, 3)) for name in ("where", "values", "outcome")}
     return CellRows(cell, np.array([1]), ["ok"], episodes, corrections)
@@ -139,7 +149,9 @@ class TestMerging:
 
     def test_several_missing_ones(self, tmp_path):
         made(tmp_path, SMALL, Shard(2, 4))
-        with pytest.raises(UserError, match=r"^shards 1, 3, 4 of 4 are missing: run them, or give their folders$"):
+        with pytest.raises(
+            UserError, match=r"^shards 1, 3, 4 of 4 are missing: run them, or give their folders$"
+        ):
             merge([tmp_path])
 
     def changed(self, folder, **entries):
@@ -204,7 +216,9 @@ class TestMerging:
 
     def test_a_shard_is_no_whole_and_a_whole_no_shard(self, out):
         folder = Shard(1, 3).folder(out)
-        with pytest.raises(UserError, match="it holds shard 1/3 of a sweep, give --shard 1/3 or another --out"):
+        with pytest.raises(
+            UserError, match="it holds shard 1/3 of a sweep, give --shard 1/3 or another --out"
+        ):
             check_shard(folder, None, 7)
         with pytest.raises(UserError, match="it holds a whole sweep, give no --shard or another --out"):
             check_shard(merge([out]), Shard(1, 3), 7)
