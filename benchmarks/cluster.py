@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from gpcjax.sweep.executors import Desk, Ray, ray
+from gpcjax.sweep.executors import Desk, Ray, crew
 from gpcjax.sweep.executors.base import ASKS, Message
 from gpcjax.sweep.executors.remote import place
 from gpcjax.sweep.plan import Cell
@@ -141,7 +141,7 @@ def driver(cells: int, jobs: int) -> dict[str, float]:
 
 def block(cells: int, jobs: int) -> dict[str, float]:
     """A real Ray: seconds of a block on its way, where nothing is computed."""
-    actor, ray._Actor = ray._Actor, _Echo  # pyright: ignore[reportAttributeAccessIssue]
+    actor, crew.Actor = crew.Actor, _Echo  # pyright: ignore[reportAttributeAccessIssue]
     try:
         executor = Ray(jobs=jobs)
         executor._connect()
@@ -150,7 +150,7 @@ def block(cells: int, jobs: int) -> dict[str, float]:
             run(_spec(cells), Path(folder), jobs, executor)
         seconds = time.monotonic() - began
     finally:
-        ray._Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
+        crew.Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
     blocks = cells / 16 / jobs
     return {
         "cells": cells,

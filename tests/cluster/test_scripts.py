@@ -68,9 +68,8 @@ class TestKubernetes:
         assert pairs["completionMode"] == "Indexed" and pairs["value"].strip('"') in ("4", str(of))
         assert '              value: "8"' in (SCRIPTS / "kubernetes.yaml").read_text()
         for index in range(of):
-            flags = ["--env", "cartpole", "--out", "a folder"]
-            words = called([SCRIPTS / "slurm.sh", *flags], SLURM_ARRAY_TASK_ID=str(task), **variables)
-            got = given(words)
+            given_there = {"JOB_COMPLETION_INDEX": str(index), "SHARDS": str(of), "JOBS": "4"}
+            got = given(called(["/bin/sh", "-c", command], **given_there))
             assert (
                 got["shard"] == f"{index + 1}/{of}" and got["jobs"] == 4 and got["error"] == (0.0, 0.1, 0.2)
             )
