@@ -20,6 +20,9 @@ from gpcjax.sweep import stopping
 from gpcjax.sweep.executors.base import Desk
 from gpcjax.sweep.executors.crew import Crew
 
+START_TRIES = 3
+"""Of a Ray of our own: on a machine that is busy with other things its start takes long."""
+
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
@@ -99,12 +102,22 @@ class Ray:
             }
             options = own if self._address is None else {"address": self._address}
             with _handlers_kept():
-                try:
-                    ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
-                except Exception as error:  # of many kinds, some no more than that
-                    raise self._unreached(error) from None
+                self._begin(ray, options)
             self._ours = True
         self._ray = ray
+
+    def _begin(self, ray: Any, options: dict[str, Any]) -> None:
+        """Starts a Ray, or joins one. One of our own is tried again: Ray gives itself half a minute for its start."""
+        for left in reversed(range(1 if self._address is not None else START_TRIES)):
+            try:
+                ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
+                return
+            except Exception as error:  # of many kinds, some no more than that
+                with contextlib.suppress(Exception):
+                    ray.shutdown()
+                stopping.check()
+                if not left:
+                    raise self._unreached(error) from None
 
     def _unreached(self, error: Exception) -> Exception:
         text = " ".join(str(error).split())[:200]
