@@ -25,12 +25,13 @@ from typing import Any
 
 import numpy as np
 
-from gpcjax.sweep.executors import Desk, Ray, ray
+from gpcjax.sweep.executors import Desk, Ray, crew
 from gpcjax.sweep.executors.base import ASKS, Message
 from gpcjax.sweep.executors.remote import place
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.run import run
+from gpcjax.sweep.sharing import BATCH
 from gpcjax.sweep.spec import SweepSpec, spec_of
 
 EPISODES, CORRECTIONS = 30, 60
@@ -139,25 +140,24 @@ def driver(cells: int, jobs: int) -> dict[str, float]:
     }
 
 
-def block(cells: int, jobs: int) -> dict[str, float]:
-    """A real Ray: seconds of a block on its way, where nothing is computed."""
-    actor, ray._Actor = ray._Actor, _Echo  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        executor = Ray(jobs=jobs)
+def block(cells: int) -> dict[str, float]:
+    """A real Ray with one worker: seconds of a block on its way, where nothing is computed; its start is left out."""
+
+    def seconds(cells: int) -> tuple[float, float]:
+        executor = Ray(jobs=1)
         executor._connect()
         began = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            run(_spec(cells), Path(folder), jobs, executor)
-        seconds = time.monotonic() - began
+            run(_spec(cells), Path(folder), 1, executor)
+        return time.monotonic() - began, cells / BATCH
+
+    actor, crew.Actor = crew.Actor, _Echo  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        (few, fewer), (many, more) = seconds(cells // 8), seconds(cells)
     finally:
-        ray._Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
-    blocks = cells / 16 / jobs
-    return {
-        "cells": cells,
-        "workers": jobs,
-        "seconds": round(seconds, 1),
-        "ms_per_block": round(1e3 * seconds / blocks, 1),
-    }
+        crew.Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
+    each = (many - few) / (more - fewer)
+    return {"cells": cells, "start_s": round(few - each * fewer, 1), "ms_per_block": round(1e3 * each, 1)}
 
 
 def two_hosts() -> dict[str, float]:
@@ -168,25 +168,16 @@ def two_hosts() -> dict[str, float]:
     root = Path(__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
 
+        def once(words: list[str], start: Any, name: str) -> float:
+            command = ["-m", "gpcjax", "sweep", *SWEEP, *words, "--out", f"{folder}/{name}", "--json"]
+            process = start(command)
+            events = [json.loads(line) for line in process.communicate()[0].splitlines()]
+            assert process.returncode == 0
+            return next(event["elapsed_s"] for event in events if event["event"] == "end")
+
         def seconds(words: list[str], start: Any, name: str) -> float:
-            for turn in range(2):  # the first one fills the cache of compiled programs
-                began = time.monotonic()
-                command = [
-                    "-m",
-                    "gpcjax",
-                    "sweep",
-                    *SWEEP,
-                    *words,
-                    "--out",
-                    f"{folder}/{name}{turn}",
-                    "--json",
-                ]
-                process = start(command)
-                last = [json.loads(line) for line in process.communicate()[0].splitlines()]
-                assert process.returncode == 0
-                found[f"{name}_from_start_s"] = round(time.monotonic() - began, 1)
-                end = next(event for event in last if event["event"] == "end")
-            return end["elapsed_s"]
+            once(words, start, f"{name}-first")  # which fills the cache of compiled programs
+            return once(words, start, name)
 
         environment = {**os.environ, "PYTHONPATH": str(root)}
         found["processes_s"] = seconds(
@@ -221,7 +212,7 @@ def main() -> None:
                 ).stdout.strip()
             )
     if "block" in parts:
-        print(json.dumps(block(4_000, 1)))
+        print(json.dumps(block(8_000)))
     if "hosts" in parts:
         print(json.dumps(two_hosts()))
 

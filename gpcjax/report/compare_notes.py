@@ -203,7 +203,7 @@ def _machines(folders: Sequence[Folder]) -> list[str]:
     )
     return [
         f"Kinds of machine differ ({', '.join(name.replace('_', ' ') for name in entries)}): the same run may round "
-        "otherwise there."
+        "otherwise there, so statistics are compared here, not bits."
     ]
 
 

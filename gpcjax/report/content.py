@@ -177,6 +177,12 @@ def _methods(summary: Summary) -> dict[str, str]:
         "Differences": "Area of the first algorithm minus that of the second on the same seed; mean over the seeds "
         "that both have. There is no correction for the number of comparisons.",
     }
+    if further := summary.study.manifest.get("further_machines"):
+        methods["Machines"] = (
+            f"Rows of {1 + len(further)} kinds of machine are mixed here: the same run may round otherwise on another "
+            "one, so its returns agree in their distribution and not in their last bits. Each part of the rows says on "
+            "which kind it was made."
+        )
     if summary.study.varying:
         methods["Best and tied"] = (
             "Best is the point with the highest mean final return for an algorithm, oracle and error rate. Tied with "

@@ -11,6 +11,7 @@ from gpcjax.sweep.growth import requests
 from gpcjax.sweep.listing import STRANGE, Contents, RunFolder, commands
 from gpcjax.sweep.points import given
 from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.shards import held_shard
 from gpcjax.sweep.source import Source
 
 
@@ -34,7 +35,9 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
     asked = requests(manifest)
     specification = manifest["specification"]
     machines = [manifest["machine"], *manifest.get("further_machines", [])]
+    shard = held_shard(manifest)
     said |= {
+        **({"shard": f"{shard}, for gpcjax merge"} if shard is not None else {}),
         "task": specification["env"],
         "learners": ", ".join(map(algorithm, specification["algo"])),
         "teacher": specification.get("teacher", "oracle"),
@@ -49,7 +52,8 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
         "parts": f"{held.parts:,}, {_size(held.size)} in all",
         "took": f"{_duration(manifest['wall_time_s'])}, {manifest['env_steps']:,} steps",
         "versions": ", ".join(f"{name} {version}" for name, version in manifest["versions"].items()),
-        "machine": ", ".join(str(machine.get("processor", "unknown")) for machine in machines),
+        "machine": ", ".join(str(machine.get("processor", "unknown")) for machine in machines)
+        + (f" ({len(machines)} kinds mixed: last bits may differ)" if len(machines) > 1 else ""),
         "last written": _date(folder.changed),
     }
     if held.damaged:

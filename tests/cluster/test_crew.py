@@ -11,7 +11,7 @@ from gpcjax.policies.folder import write_folder
 from gpcjax.sweep import machine
 from gpcjax.sweep.checkpoints import KIND, cell_as_json
 from gpcjax.sweep.checkpoints import Place as CheckpointPlace
-from gpcjax.sweep.executors import Desk, Orders, ray
+from gpcjax.sweep.executors import Desk, Orders, crew
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.parcel import pack
 from gpcjax.sweep.plan import plan
@@ -21,6 +21,9 @@ from tests.cluster.fakes import HERE, NEVER, FakeRay, there
 
 CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
 OTHER = {**HERE.machine, "vector_features": "none at all"}
+
+
+NONE = Orders()
 
 
 def rows_of(cell):
@@ -66,7 +69,7 @@ class Gone(Good):
         raise RuntimeError("The actor died\nbecause its node has died")
 
 
-def served(hire, jobs=1, orders=Orders()):
+def served(hire, jobs=1, orders=NONE):
     """Serves a desk with these actors; gives rows, notes, machines and the fake."""
     got, notes, machines = [], [], []
     fake = FakeRay(hire)
@@ -81,9 +84,9 @@ def served(hire, jobs=1, orders=Orders()):
         orders,
         on_machine=machines.append,
     )
-    crew = ray._Crew(fake, desk)
-    crew.serve()
-    crew.dismiss()
+    workers = crew.Crew(fake, desk)
+    workers.serve()
+    workers.dismiss()
     desk.refuse_less()
     return got, notes, machines, fake
 
@@ -183,12 +186,12 @@ class TestCheckpoints:
     def test_where_many_save_each_does_it_less_often(self, orders):
         desk = Desk(CELLS, [], 4, lambda _: None, lambda *_: None, lambda _: None, orders=orders)
         desk.workers = 1000
-        crew = ray._Crew(FakeRay(lambda number: Waiting()), desk)
-        member = ray._Member(0, None, HERE, kind_of(HERE.machine))
-        answer, _ = pickle.loads(crew._packed(member, ("program", CELLS[0], orders)))
+        workers = crew.Crew(FakeRay(lambda number: Waiting()), desk)
+        member = crew.Member(0, None, HERE, kind_of(HERE.machine))
+        answer, _ = pickle.loads(workers._packed(member, ("program", CELLS[0], orders)))
         assert answer[2].seconds == 250.0 and answer[2].places == {}
         never = dataclasses.replace(orders, seconds=0.0)
-        answer, _ = pickle.loads(crew._packed(member, ("program", CELLS[0], never)))
+        answer, _ = pickle.loads(workers._packed(member, ("program", CELLS[0], never)))
         assert answer[2].seconds == 0.0
 
 

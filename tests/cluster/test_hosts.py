@@ -49,9 +49,9 @@ class Running:
 
     def __init__(self, two, out):
         self.out, self._log = out, out.with_suffix(".log")
-        self._file = open(self._log, "ab")  # noqa: SIM115
         words = ["-m", "gpcjax", "sweep", *WORDS, "--engine", "ray", "--address", "auto", "--out", str(out)]
-        self.process = two[0].python(*words, stdout=self._file, stderr=self._file)
+        with open(self._log, "ab") as log:
+            self.process = two[0].python(*words, stdout=log, stderr=log)
         self.until(lambda: all(host.workers() for host in two))
         self.until(lambda: list(out.glob("checkpoints/[0-9]*")))
 
@@ -64,7 +64,6 @@ class Running:
 
     def finish(self):
         assert self.process.wait(300) == 0, self.log
-        self._file.close()
 
     @property
     def log(self):

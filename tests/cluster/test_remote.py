@@ -2,15 +2,17 @@
 
 import contextlib
 import json
+import os
 import pickle
 import signal
+import tempfile
 
 import pytest
 
 from gpcjax.sweep import machine
 from gpcjax.sweep.checkpoints import receive, told
 from gpcjax.sweep.environment import CACHE
-from gpcjax.sweep.executors import Orders
+from gpcjax.sweep.executors import Orders, remote
 from gpcjax.sweep.executors.remote import Remote
 from gpcjax.sweep.parcel import parcel_of, unpack
 from gpcjax.sweep.plan import plan
@@ -51,13 +53,13 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, tmp_path):
     cell, kind = parcel[1], machine.kind_of(machine.describe())
     agree = told(versions(), "the kind of the desk's machine", None)
     orders = Orders(checkpoints="/nowhere/on/this/machine", seconds=1e-9, agree=agree)
-    with contextlib.closing(Remote(parcel[0], patience=0.2)) as remote:
-        folder, process = remote._folder, remote._worker.process
-        assert hear(remote)[-1] == ("ready",)
-        assert hear(remote, ("program", cell, orders))[-1] == ("next",)
-        heard = hear(remote, ("cells", [cell]))
+    with contextlib.closing(Remote(parcel[0], patience=0.2)) as worker:
+        folder, process = worker._folder, worker._worker.process
+        assert hear(worker)[-1] == ("ready",)
+        assert hear(worker, ("program", cell, orders))[-1] == ("next",)
+        heard = hear(worker, ("cells", [cell]))
         while heard[-1] == ("next",):  # an empty lane is free for more
-            heard += hear(remote, ("cells", []))
+            heard += hear(worker, ("cells", []))
     assert not folder.exists() and not alive(process.pid)
     (rows,) = (message[1] for message in heard if message[0] == "rows")
     assert rows.cell == cell and list(rows.episode) == list(range(1, 21)) and set(rows.status) == {"ok"}
@@ -68,12 +70,24 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, tmp_path):
     assert json.loads((tmp_path / "checkpoints" / name / "card.json").read_text())["machine"] == kind
 
 
+def test_the_folder_of_one_that_was_killed_is_removed_by_the_next(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    living, lock = remote._own_folder()
+    killed, other = remote._own_folder()
+    (killed / "checkpoints").mkdir()
+    os.close(other)  # as the end of its process does
+    (tmp_path / "gpcjax-worker-of-somebody").mkdir()
+    remote._remove_abandoned()
+    assert living.is_dir() and not killed.exists() and (tmp_path / "gpcjax-worker-of-somebody").is_dir()
+    os.close(lock)
+
+
 def test_its_end_has_a_reason(parcel, monkeypatch, tmp_path):
     monkeypatch.setenv(CACHE, str(tmp_path / "programs"))  # such an end costs the programs that are kept
-    with contextlib.closing(Remote(parcel[0], patience=0.2)) as remote:
-        assert hear(remote)[-1] == ("ready",)
-        remote._worker.process.send_signal(signal.SIGSEGV)
-        word, line = hear(remote)[-1]
+    with contextlib.closing(Remote(parcel[0], patience=0.2)) as worker:
+        assert hear(worker)[-1] == ("ready",)
+        worker._worker.process.send_signal(signal.SIGSEGV)
+        word, line = hear(worker)[-1]
     assert word == "ended" and line.startswith(
         "a worker process was ended by SIGSEGV, and the compiled programs"
     )

@@ -37,11 +37,8 @@ class TestSlurm:
     def test_each_task_has_its_share(self, called):
         variables = {"SLURM_ARRAY_TASK_COUNT": "3", "SLURM_CPUS_PER_TASK": "4"}
         for task in (1, 2, 3):
-            words = called(
-                [SCRIPTS / "slurm.sh", "--env", "cartpole", "--out", "a folder"],
-                SLURM_ARRAY_TASK_ID=str(task),
-                **variables,
-            )
+            flags = ["--env", "cartpole", "--out", "a folder"]
+            words = called([SCRIPTS / "slurm.sh", *flags], SLURM_ARRAY_TASK_ID=str(task), **variables)
             assert given(words) == {"env": "cartpole", "out": "a folder", "shard": f"{task}/3", "jobs": 4}
             assert shard_of(given(words)["shard"], "").number == task
 
@@ -71,10 +68,8 @@ class TestKubernetes:
         assert pairs["completionMode"] == "Indexed" and pairs["value"].strip('"') in ("4", str(of))
         assert '              value: "8"' in (SCRIPTS / "kubernetes.yaml").read_text()
         for index in range(of):
-            words = called(
-                ["/bin/sh", "-c", command], JOB_COMPLETION_INDEX=str(index), SHARDS=str(of), JOBS="4"
-            )
-            got = given(words)
+            given_there = {"JOB_COMPLETION_INDEX": str(index), "SHARDS": str(of), "JOBS": "4"}
+            got = given(called(["/bin/sh", "-c", command], **given_there))
             assert (
                 got["shard"] == f"{index + 1}/{of}" and got["jobs"] == 4 and got["error"] == (0.0, 0.1, 0.2)
             )

@@ -9,6 +9,7 @@ at once when an answer is wanted. Of several reports of progress the last one go
 
 import contextlib
 import dataclasses
+import fcntl
 import json
 import os
 import pickle
@@ -67,7 +68,8 @@ class Remote:
 
     def __init__(self, parcel: Parcel, patience: float):
         self._patience = patience
-        self._folder = Path(tempfile.mkdtemp(prefix="gpcjax-"))
+        _remove_abandoned()
+        self._folder, self._lock = _own_folder()
         self._saved = self._folder / "checkpoints"
         self._saved.mkdir()
         self._sent: set[str] = set()
@@ -104,6 +106,7 @@ class Remote:
         """Ends the process, and removes its folder."""
         self._worker.end()
         shutil.rmtree(self._folder, ignore_errors=True)
+        os.close(self._lock)
 
     def _receive(self) -> Message:
         try:
@@ -133,3 +136,28 @@ class Remote:
             return [("checkpoint", new[-1], pack([(self._saved / new[-1], new[-1])]))]
         except (OSError, ValueError):  # the worker has just put another one in its place
             return []
+
+
+_PREFIX, _LOCK = "gpcjax-worker-", "lock"
+
+
+def _own_folder() -> tuple[Path, int]:
+    """A folder of this worker, and the descriptor of its lock, which ends with this process however that ends."""
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    unseen = folder / f".{_LOCK}"
+    lock = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    unseen.rename(folder / _LOCK)  # nobody sees it before it is locked
+    return folder, lock
+
+
+def _remove_abandoned() -> None:
+    """The folders of workers that were killed: their locks are free."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):  # somebody else's, or it is just going, or its worker is there
+            lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CLOEXEC)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
