@@ -15,6 +15,9 @@
 #:   SET       a setting of a learner or teacher of one's own: SET=NAME=1,2
 #:   OUT       run folder (runs/ENV-HASH)
 #:   JOBS      processes at once (one for each core)
+#:   ENGINE    what runs them: processes of this machine, or ray (processes)
+#:   ADDRESS   of the Ray cluster: auto or HOST:PORT (a Ray that is started here)
+#:   SHARD     i/n, the i-th of n shares alone, for gpcjax merge (all)
 #:   KEEP      policies or states of each run, for Python, and to go on from (nothing)
 #:   START     runs begin with what was learned there: a run folder with kept states, a saved learner (with nothing)
 #:   CREDIT    seconds between a step and the advice about it, as the learner reckons
@@ -38,10 +41,12 @@ GPCJAX := .venv/bin/python -m gpcjax
 
 # Which variables a target takes. Any other is refused here, before anything is set up: EVN= must not pass silently.
 FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teacher ORACLE:oracle DELTA:delta \
-	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep START:start OUT:out JOBS:jobs
+	RATE:rate SET:set LP:policy-length-scale LH:human-length-scale CREDIT:credit KEEP:keep START:start OUT:out JOBS:jobs \
+	ENGINE:engine ADDRESS:address SHARD:shard
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
+TAKES_tune := $(filter-out KEEP,$(TAKES_sweep))
 TAKES_report := OUT
 TAKES_compare := OUT ARGS
 TAKES_oracles := ENV
@@ -84,7 +89,7 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
+.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
 .PHONY: lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
@@ -95,6 +100,9 @@ sweep: $(READY) ## teach every combination, print a table, draw the curves
 
 grid: $(READY) ## the same over lists of hyperparameters, with a heatmap
 	$(call with_args,$(GPCJAX) grid $(SETTINGS))
+
+tune: $(READY) ## search hyperparameters, judge the best (ARGS='--search policy-length-scale=0.02:20')
+	$(call with_args,$(GPCJAX) tune $(SETTINGS))
 
 report: $(READY) ## draw a run folder's table and figures again (OUT=)
 	$(GPCJAX) report $(if $(OUT),-- $(call quoted,OUT))
@@ -159,6 +167,7 @@ clean: ## remove .venv and all caches, no results
 PYTHON_WORD = $(call quoted,PYTHON)
 sweep: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax sweep $(SETTINGS) --dry-run)
 grid: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax grid $(SETTINGS) --dry-run)
+tune: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax tune $(SETTINGS) --dry-run)
 reproduce: CHECK = $(PYTHON_WORD) -m gpcjax reproduce $(REPRODUCTION) --dry-run
 NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
 $(READY): requirements.lock pyproject.toml

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import gpcjax
 from gpcjax import cli_options
@@ -28,7 +28,11 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
+from gpcjax.sweep.shards import Shard, check_shard, shard_of
 from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec, read_toml
+
+if TYPE_CHECKING:
+    from gpcjax.sweep.executors import Executor
 
 FAILED = 1
 MISTAKE = 2
@@ -153,10 +157,14 @@ def _run(words: Sequence[str]) -> int:
     match arguments.command:
         case "sweep" | "grid":
             return _sweep(arguments)
+        case "tune":
+            return _tune(arguments)
         case "report":
             return _report(Path(arguments.out), arguments.json)
         case "compare":
             return _compare(arguments)
+        case "merge":
+            return _merge(arguments)
         case "runs":
             return _runs(Path(os.path.expanduser(arguments.folder or "runs")), arguments.json)
         case "show":
@@ -198,19 +206,46 @@ def _sweep(arguments: argparse.Namespace) -> int:
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
     jobs = given["jobs"].value if "jobs" in given else usable_cores()
-    running = Running(jobs, arguments.json, arguments.live, *_kept(given))
+    executor = _executor(given)
+    shard = shard_of(given["shard"].value, given["shard"].source) if "shard" in given else None
+    out = out if shard is None else shard.folder(out)
+    running = Running(jobs, arguments.json, arguments.live, *_kept(given), executor, shard)
     check_keeping(running.keeping, spec, "--keep")
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
+        check_shard(out, shard, cells)
     if spec.start is not None:
         from gpcjax.sweep.sources import check_start  # which reads run folders
 
         check_start(spec, given["start"].source)
     if arguments.dry_run:
-        print(f"{cells} cells of {spec.env}, {spec.episodes} episodes each, in {jobs} processes, into {out}")
+        workers = f"in {jobs} processes" if executor is None else "in a Ray"
+        share = "" if shard is None else f"shard {shard} of "
+        print(f"{share}{cells} cells of {spec.env}, {spec.episodes} episodes each, {workers}, into {out}")
         return 0
     make_writable(out)
-    return _teach(spec, out, running)
+    status = _teach(spec, out, running)
+    if arguments.command == "grid" and not running.as_json:
+        from gpcjax.tune.best import write_best
+
+        for path in write_best(out, spec):
+            print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
+    return status
+
+
+def _executor(given: Mapping[str, Given | Unchecked]) -> "Executor | None":
+    """What runs the workers, where that is not processes of this machine."""
+    engine, address, jobs = (given.get(name) for name in ("engine", "address", "jobs"))
+    if engine is None and address is None:
+        return None
+    from gpcjax.sweep.executors import executor_of
+
+    return executor_of(
+        engine and engine.value,
+        address and address.value,
+        jobs and jobs.value,
+        address.source if address is not None else "",
+    )
 
 
 class Running(NamedTuple):
@@ -222,6 +257,9 @@ class Running(NamedTuple):
     """Whether the report is drawn meanwhile, too."""
     keeping: Keeping | None
     checkpoint: float
+    executor: "Executor | None"
+    """Beside processes of this machine."""
+    shard: Shard | None
 
 
 def _kept(given: Mapping[str, Given | Unchecked]) -> tuple[Keeping | None, float]:
@@ -248,7 +286,7 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
 
 
 def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
-    try:
+    with _keeping(out):
         from gpcjax.sweep.progress import Bar, JsonLines
         from gpcjax.sweep.run import run
 
@@ -260,15 +298,31 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
                     spec,
                     out,
                     running.jobs,
+                    running.executor,
                     keeping=running.keeping,
                     checkpoint=running.checkpoint,
                     watcher=watcher,
                     meanwhile=meanwhile,
+                    shard=running.shard,
                 )
             (out / FAULT).unlink(missing_ok=True)
+            if (
+                running.shard is not None
+            ):  # a part of the runs says nothing: all of them are reported on together
+                whole = out.parent.parent
+                print(f"{out}: shard {running.shard} is there; gpcjax merge {whole}, when all of them are")
+                return 0
             return _report(out, running.as_json, anew=ran)
+
+
+@contextmanager
+def _keeping(out: Path) -> Iterator[None]:
+    """A run that ends before its time says that `out` keeps what is finished."""
+    try:
+        yield
     except KeyboardInterrupt as stop:
-        return _stopped(out, stop)
+        stop.args = (f"stopped: {out} keeps what is finished, the same command goes on from there",)
+        raise
     except Failure as failure:
         raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
 
@@ -310,6 +364,18 @@ def _report(out: Path, as_json: bool, anew: bool = True) -> int:
         )
         return 0
     return _print(render(summary), out, summary.files)
+
+
+def _merge(arguments: argparse.Namespace) -> int:
+    out = (
+        None
+        if arguments.out is None
+        else Path(os.path.expanduser(parse(OPTIONS["out"], arguments.out, "--out")))
+    )
+    from gpcjax.sweep.merging import merge
+
+    whole = merge([Path(os.path.expanduser(folder)) for folder in arguments.folder], out)
+    return _report(whole, arguments.json)
 
 
 def _compare(arguments: argparse.Namespace) -> int:
@@ -370,6 +436,22 @@ def _show_folder(out: Path, as_json: bool) -> int:
     return 0
 
 
+def _tune(arguments: argparse.Namespace) -> int:
+    from gpcjax.tune.command import said, wishes_of
+
+    wishes = wishes_of(arguments, cli_options.settings(arguments), usable_cores())
+    if arguments.dry_run:
+        print(said(wishes))
+        return 0
+    make_writable(wishes.out)
+
+    with _keeping(wishes.out):
+        from gpcjax.tune.carrying_out import carry_out
+
+        _note()
+        return carry_out(wishes)
+
+
 def _oracles(text: str | None) -> int:
     names = env_names() if text is None else text.split(",")
     envs = tuple(dict.fromkeys(parse(OPTIONS["env"], name, "--env") for name in names))
@@ -393,23 +475,15 @@ def _reproduce(arguments: argparse.Namespace) -> int:
         return 0
     from gpcjax.reproduce.run import reproduce
 
-    try:
+    with _keeping(out):
         _note()
         print(reproduce(sweeps, out, only, arguments.quick, jobs))
-    except KeyboardInterrupt as stop:
-        return _stopped(out, stop)
-    except Failure as failure:
-        raise Failure(f"{failure}; {out} keeps what is finished{_full_text(failure, out)}") from None
     return 0
 
 
 def _note() -> None:
     for line in notes():
         _tell(line, 0)
-
-
-def _stopped(out: Path, stop: KeyboardInterrupt) -> int:
-    return _tell(f"stopped: {out} keeps what is finished, the same command goes on from there", _status(stop))
 
 
 def _full_text(failure: Failure, out: Path) -> str:

@@ -25,6 +25,7 @@ from gpcjax.sweep.options import (
 )
 from gpcjax.sweep.spec import Given, Unchecked
 from gpcjax.teach.command import PORT, REPEAT, SEED, SPEED
+from gpcjax.tune.flags import FLAGS
 
 _ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 
@@ -115,7 +116,7 @@ def _metavar(option: Option) -> str:
     return "N" if option.kind is int else option.name.upper()
 
 
-DEFAULTS = {"grid": {"algo": ("gpc",)}}
+DEFAULTS = {"grid": {"algo": ("gpc",)}, "tune": {"algo": ("gpc",), "seeds": (16,)}}
 """Where a command has other defaults than the table of options."""
 
 
@@ -146,6 +147,35 @@ def _sweep(name: str) -> Command:
     groups = tuple((title, tuple(_flag(option, name) for option in options)) for title, options in _GROUPS)
     text = "a file with these names as keys; flags win"
     return Command(_TEXTS[name], (*groups, ("", (own, *switches))), word="TOML", word_text=text)
+
+
+def _tune() -> Command:
+    """A sweep's settings, and where to look for which of them."""
+    sweep = _sweep("tune")
+    *groups, (_, (setting, *_)) = sweep.groups
+    look = Flag(
+        "--search",
+        "where to look for a setting, by factors where its range is above zero; may be given several times",
+        "NAME=LOW:HIGH",
+        value="NAME=LOW:HIGH or NAME=A,B,C",
+        repeated=True,
+    )
+    flags = tuple(
+        Flag(f"--{name.replace('_', '-')}", own.help, own.metavar, str(own.allowed))
+        for name, own in FLAGS.items()
+    )
+    switches = tuple(
+        flag
+        for _, flags in sweep.groups[-1:]
+        for flag in flags
+        if flag.name in ("--dry-run", "--quick", "--json")
+    )
+    text = "a file of a sweep's settings, with a table [tune] of these flags and [tune.search]; flags win"
+    return replace(
+        sweep,
+        groups=(("search", (look, *flags, _WHERE)), *groups, ("", (setting, *switches))),
+        word_text=text,
+    )
 
 
 def _teach() -> Command:
@@ -233,6 +263,18 @@ def _compare() -> Command:
     )
 
 
+def _merge() -> Command:
+    out = f"the run folder of the whole ({_FOLDER}; default the one FOLDER that holds all shards)"
+    return Command(
+        _TEXTS["merge"],
+        (("", (Flag("--out", out, "OUT", _FOLDER), _JSON)),),
+        word="FOLDER",
+        word_text="run folders of shards, or folders with a folder of them (OUT of the sweep)",
+        needed=True,
+        several=True,
+    )
+
+
 def _play() -> Command:
     flags = (
         Flag(
@@ -265,8 +307,10 @@ def _play() -> Command:
 _TEXTS = {
     "sweep": "teach every combination of learner, error rate and seed, then report",
     "grid": "the same over lists of hyperparameters, with a heatmap",
+    "tune": "search for hyperparameters, and judge the best on other seeds",
     "report": "draw a run folder's table and figures again",
     "compare": "compare run folders, run by run of the same seed",
+    "merge": "put the shards of a sweep together, when all are there, then report",
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
@@ -279,10 +323,12 @@ _TEXTS = {
 COMMANDS = {
     "sweep": _sweep("sweep"),
     "grid": _sweep("grid"),
+    "tune": _tune(),
     "report": Command(
         _TEXTS["report"], (("", (_JSON,)),), word="OUT", word_text="the run folder", needed=True
     ),
     "compare": _compare(),
+    "merge": _merge(),
     "oracles": Command(
         _TEXTS["oracles"],
         (("", (Flag("--env", f"{_ENVS}, comma list (default: each)", "ENV", _ENVS),)),),
@@ -354,7 +400,11 @@ def _parsers() -> dict[str, argparse.ArgumentParser]:
     parsers = {"": parser}
     for name, command in COMMANDS.items():
         text = command.text
-        usage = f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]" if name in ("sweep", "grid") else None
+        usage = (
+            f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]"
+            if name in ("sweep", "grid", "tune")
+            else None
+        )
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", usage=usage)
         if command.word:
             nargs = "+" if command.several else None if command.needed else "?"

@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
+from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 
 Kind = Literal["task", "learner", "teacher"]
@@ -88,7 +89,7 @@ _FOUND: dict[tuple[Kind, str], Spec] = {}
 def _elsewhere(kind: Kind, name: str, source: str) -> Spec:
     if kind == "teacher" and name == "person":
         return resolve("gpcjax.teachers.descriptions:PERSON")
-    if kind == "teacher" and os.path.isdir(os.path.expanduser(name)):
+    if kind == "teacher" and os.path.isdir(path_here(name)):
         return resolve("gpcjax.teachers.replay:described_record")(name, source)
     prefix, colon, rest = name.partition(":")
     if colon and kind == "task" and prefix in ("gym", "brax"):

@@ -274,7 +274,7 @@ def test_a_mistake_is_one_line(words, message, calls, capsys):
     ("words", "message"),
     [
         ("--", "COMMAND is missing: see gpcjax --help"),
-        ("swep", "'swep' is no command (did you mean sweep?): give sweep, grid, report"),
+        ("swep", "'swep' is no command (did you mean sweep?): give sweep, grid, tune, report"),
         ("report", "OUT is missing: see gpcjax report --help"),
         ("report none", "none: no such folder, give a folder that a sweep has made"),
         ("report .", "manifest.json: cannot be read (No such file or directory)"),

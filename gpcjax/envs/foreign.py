@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from gpcjax import registry
 from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
+from gpcjax.elsewhere import path_here
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
 from gpcjax.envs.brax_tasks import KNOWN, Known
@@ -193,7 +194,7 @@ def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any
         return _function(source, env_name, name)
     if is_folder(name):
         load = registry.resolve("gpcjax.policies.saved:load_policy")
-        found = load(Path(name).expanduser())
+        found = load(Path(path_here(name)))
         made = _sizes(env_name)
         has = found.controller.obs_size, found.controller.action_size
         if has != tuple(made):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from gpcjax import registry
 from gpcjax.allowed import FINITE, STEPS, checked, holds_numbers, shown, suggestion
 from gpcjax.describe import TaskSpec
+from gpcjax.elsewhere import path_here
 from gpcjax.errors import UserError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def check_expert(env_name: str, expert_name: Any, source: str) -> None:
     """
     experts = task(env_name).experts
     if isinstance(expert_name, str) and expert_name not in experts and is_folder(expert_name):
-        if not os.path.exists(os.path.join(os.path.expanduser(expert_name), "card.json")):
+        if not os.path.exists(os.path.join(path_here(expert_name), "card.json")):
             raise UserError(
                 f"{source} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
             )
@@ -127,7 +128,7 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
 
 def is_folder(name: str) -> bool:
     """Whether a name of an expert is that of a folder. A name that no file system takes is none."""
-    return os.path.isdir(os.path.expanduser(name))
+    return os.path.isdir(path_here(name))
 
 
 def _parameter(env_name: str, name: str, value: Any) -> Any:

@@ -3,7 +3,7 @@
 import itertools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -88,7 +88,7 @@ class Comparison:
                 "env": self.env,
                 "family": place // 2,
                 "folder": each.member.folder.name,
-                **each.member.folder.settings(each.member.group, names),
+                **_cells(each.member.folder.settings(each.member.group, names)),
                 "statistic": each.statistic,
                 "runs": each.runs,
                 "value": each.values,
@@ -110,7 +110,7 @@ class Comparison:
                 "env": self.env,
                 "folder": folder.name,
                 "missing_in": other.name,
-                **folder.settings(group, names),
+                **_cells(folder.settings(group, names)),
                 "runs": group.runs,
             }
             for each in self.matches
@@ -226,6 +226,14 @@ def _both(pair: Pair, name: str) -> tuple[Any, Any]:
     return pair.first.setting(pair.one, name), pair.second.setting(pair.other, name)
 
 
+def _cells(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as fields of a table: a series, which is one value, as its text."""
+    return {
+        name: " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value
+        for name, value in settings.items()
+    }
+
+
 def _settings_of_profiles(comparison: Comparison) -> set[str]:
     return {"oracle", *compare_page.settings_shown([each.pair for each in comparison.differences])}
 
@@ -235,6 +243,7 @@ def _columns(env: str, each: Difference, shown: Sequence[str], crossed: set[str]
     for name in shown:
         one, other = _both(each.pair, name)
         settings |= {f"{name}_first": one, f"{name}_second": other} if name in crossed else {name: one}
+    settings = _cells(settings)
     return {
         "env": env,
         "first": each.pair.first.name,

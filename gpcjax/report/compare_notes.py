@@ -150,8 +150,10 @@ def shown(name: str, value: Value) -> str:
         return words.percent(float(str(value)))
     if name == "algo":
         return words.algorithm(str(value))
+    if isinstance(value, tuple) and len(value) > 8:
+        return f"{len(value)} values from {value[0]:g} to {value[-1]:g}"
     if isinstance(value, tuple):
-        return f"{len(value)} values from {value[0]:g} to {value[-1]:g}" if value else "none"
+        return " ".join(f"{each:g}" for each in value) or "none"
     return f"{value:g}" if isinstance(value, int | float) else value
 
 

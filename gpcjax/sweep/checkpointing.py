@@ -81,8 +81,12 @@ class Saved:
     """
 
     def __init__(self, folder: Path | None, places: Mapping[Cell, Place], say: Callable[[str], None]):
-        self._folder, self._places, self._say = folder, places, say
+        self._folder, self._places, self._say = folder, dict(places), say
         self._read: dict[str, tuple[list[Snapshot], list[list[KeptRow]]]] = {}
+
+    def add(self, places: Mapping[Cell, Place]) -> None:
+        """Others are saved, too: of a worker that is gone."""
+        self._places |= places
 
     def go_on(self, cell: Cell, pool: Pool) -> tuple[Resumed, list[KeptRow]] | None:
         """The run of a cell, for `Pool.run`, and what had been kept of it; None where it begins anew."""

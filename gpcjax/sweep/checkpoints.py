@@ -40,6 +40,11 @@ class Place:
     index: int
 
 
+def is_checkpoint(name: str) -> bool:
+    """Whether a folder of this name is a whole checkpoint of ours, as far as a name can tell."""
+    return _NAME.fullmatch(name) is not None
+
+
 def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
     """What runs must agree in to go on from a checkpoint, beside their cells."""
     return {
@@ -100,6 +105,29 @@ def survey(
     for name in set(folders) - useful:
         shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
     return {cell: place for cell, (_, place) in found.items()}
+
+
+def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, Place]:
+    """Takes in a checkpoint that was written on another machine; gives where its runs are.
+
+    Args:
+        out: the run folder.
+        name: of the checkpoint.
+        write: makes the folder of this name below the one that it is given.
+
+    Raises:
+        OSError, UserError, KeyError, TypeError, ValueError: it cannot be written, or is none.
+    """
+    whole = out / CHECKPOINTS / name
+    parts = out / CHECKPOINTS / f".{name}-received"  # as what a writer leaves that is killed
+    shutil.rmtree(parts, ignore_errors=True)
+    parts.mkdir(parents=True)
+    try:
+        write(parts)
+        (parts / name).rename(whole)
+    finally:
+        shutil.rmtree(parts, ignore_errors=True)
+    return {cell: Place(name, index) for index, (cell, _) in enumerate(_runs(whole, {}))}
 
 
 def remove_all(out: Path) -> None:

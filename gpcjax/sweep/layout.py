@@ -5,6 +5,7 @@
     OUT/corrections/part-...                       the corrections of the part of the same name
     OUT/kept/part-...                              what its runs had learned, where that was to be kept
     OUT/checkpoints/...                            runs that were under way, until they are finished
+    OUT/shards/I-of-N/...                          run folders of shares of the sweep, see `gpcjax.sweep.shards`
     OUT/damaged/...                                what was no longer whole: set aside, never deleted
     OUT/.gpcjax.lock                               while a sweep writes here
 
@@ -39,6 +40,7 @@ CORRECTIONS = "corrections"
 KEPT = "kept"
 CHECKPOINTS = "checkpoints"
 DAMAGED = "damaged"
+SHARDS = "shards"
 
 BESIDE = (CORRECTIONS, KEPT)
 """Folders of files that belong to the episodes of the same name."""

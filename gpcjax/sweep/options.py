@@ -37,6 +37,9 @@ from gpcjax.sweep.seeds import WORDS as SEEDS
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.written import Written
 
+ENGINES = ("processes", "ray")
+"""What runs the workers of a sweep: of this machine, or of a cluster."""
+
 LARGEST = int(COUNT.high)
 """Bound on seeds, episodes and the cells of one sweep."""
 
@@ -184,6 +187,21 @@ RUNNING = (
         NON_NEGATIVE,
         "seconds after which runs that are under way are saved, to go on there after a kill; 0 for never",
         15.0,
+    ),
+    Option("engine", str, OneOf(ENGINES), "what runs the workers", ENGINES[0]),
+    Option(
+        "address",
+        str,
+        Anything("auto, or HOST:PORT"),
+        "of the Ray cluster whose machines --engine ray uses",
+        otherwise="a Ray that is started here",
+    ),
+    Option(
+        "shard",
+        str,
+        Anything("i/n, from 1/n to n/n"),
+        "runs the i-th of n shares alone, into OUT/shards/i-of-n, for gpcjax merge",
+        otherwise="all",
     ),
     Option(
         "rate_from",

@@ -83,7 +83,7 @@ def from_json(tables: Any) -> tuple[Point, ...]:
 
 
 def _order(tables: Any) -> Callable[[tuple[str, float]], int]:
-    """Manifests may be written with sorted keys: the order of the first table counts."""
+    """The names of all tables in the order of the first one."""
     places = {name: place for place, name in enumerate(tables[0])}
     return lambda item: places[item[0]]
 

@@ -36,6 +36,8 @@ class CellRows:
     """What the learner measures besides, [e] each."""
     kept: tuple[KeptRow, ...] = ()
     """What was learned, where that is to be kept, in the order of episodes."""
+    machine: str = ""
+    """`gpcjax.sweep.machine.kind_of` the machine that computed it; empty for the one that stores it."""
 
 
 def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.Table]:

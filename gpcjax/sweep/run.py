@@ -1,20 +1,17 @@
 """One sweep from its specification to a complete store. The parent process loads no jax."""
 
-import importlib.metadata
-import platform
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
 from typing import Any
 
-import gpcjax
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
-from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals
+from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.keepable import check_keeping
 from gpcjax.sweep.keeping import Keeping, keeping_of
@@ -23,22 +20,22 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, default_out, hash_of, plan, specification_hash, varying
+from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.progress import Bar, State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
+from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
+from gpcjax.sweep.versions import versions
 
 FLUSH_SECONDS = 2.0
 """Finished rows wait at most this long in memory."""
 
 UNKNOWN = "unknown, the manifest that said it was lost"
 """The machine of rows that this one has not computed: they tell of which kind it was, not which."""
-
-_LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 
 def sweep(
@@ -48,6 +45,9 @@ def sweep(
     keep: Any = None,
     keep_at: Any = "last",
     checkpoint: Any = OPTIONS["checkpoint"].default,
+    engine: Any = None,
+    address: Any = None,
+    shard: Any = None,
     **settings: Any,
 ) -> Path:
     """Runs what is missing of a sweep; gives its run folder, for `load` and `draw_report`.
@@ -59,6 +59,9 @@ def sweep(
         keep: "policies" or "states" (from which teaching goes on) of each run, for `load_policies` and `load_states`.
         keep_at: after which episode: "last", "best", or n for every n-th.
         checkpoint: seconds after which runs that are under way are saved, 0 for never.
+        engine: "processes" or "ray", in the place of an executor; "ray" has a job for each core where `jobs` is 1.
+        address: of the Ray cluster, see `gpcjax.sweep.executors.Ray`.
+        shard: "i/n" for the i-th of n shares alone, whose folder is `OUT/shards/i-of-n`.
         **settings: as in TOML: `env`, `algo`, `error`, `seeds`, `episodes`, `oracle`, `delta`, `rate`, hyperparameters;
             `start`, a run folder with kept states or a saved learner, with which the runs begin.
 
@@ -73,13 +76,19 @@ def sweep(
         raise UserError(f"executor {executor!r}: give an object with `jobs` and `run(desk)`, as InProcess()")
     if executor is not None and jobs != 1:
         raise UserError(f"jobs {jobs}: an executor has a number of its own, give one of the two")
+    if executor is not None and engine is not None:
+        raise UserError("engine: beside an executor it changes nothing, give one of the two")
+    executor = executor or executor_of(engine, address, None if jobs == 1 else jobs)
+    share = None if shard is None else shard_of(shard, "shard")
     keeping = keeping_of(keep, keep_at)
     check_keeping(keeping, spec)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
+    folder = folder if share is None else share.folder(folder)
     check_sweep(folder, spec)
+    check_shard(folder, share, count(spec))
     _check_start(spec)
     make_writable(folder)
-    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds)
+    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
 
@@ -100,10 +109,15 @@ def run(
     checkpoint: float = OPTIONS["checkpoint"].default,
     watcher: Callable[..., Watcher] | None = None,
     meanwhile: Callable[[], None] = lambda: None,
+    shard: Shard | None = None,
+    say: Callable[[str], None] = tell,
 ) -> bool:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
-    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy.
+    With a `shard`, of these the cells of that share, into its own folder.
+
+    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy;
+    `say` takes a line for the person where the folder grows.
 
     A folder that holds less than `spec` asks for `grows`, or is refused. Of each run that is kept what `keeping` says;
     runs that are under way are saved every `checkpoint` seconds, and go on from there after a kill.
@@ -119,7 +133,12 @@ def run(
     with held(out):
         check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
-        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out)
+        check_shard(out, shard, len(cells))
+        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out, shard, say)
+        if shard is not None:
+            share = set(share_of(manifest, shard))
+            cells = [cell for cell in cells if cell in share]
+            manifest |= {"shard": shard.as_json(), "cells": len(share)}
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -141,7 +160,9 @@ def run(
         return False
 
 
-def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[str, Any], str]:
+def _asked(
+    manifest: dict[str, Any], spec: SweepSpec, out: Path, shard: Shard | None, say: Callable[[str], None]
+) -> tuple[dict[str, Any], str]:
     """The manifest of a folder that is asked for `spec`, perhaps beside what it was asked before; and the hash of that.
 
     Nothing is written yet.
@@ -150,8 +171,10 @@ def _asked(manifest: dict[str, Any], spec: SweepSpec, out: Path) -> tuple[dict[s
     if request is not None:
         return manifest, request
     larger = grown(manifest, spec)
+    if shard is not None:
+        larger["cells"] = len(share_of(larger, shard))
     new = larger["cells"] - manifest["cells"]
-    tell(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
+    say(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
     return larger, specification_hash(spec)
 
 
@@ -231,6 +254,7 @@ class _Sweep:
             on_note=tell,
             orders=orders,
             before=lambda programs: experience.of(programs, cache_folder()),
+            on_machine=lambda described: _note_machine(out, manifest, described),
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or Bar)(spec.env, len(missing), self._desk.workers, works=works)
@@ -249,6 +273,7 @@ class _Sweep:
                     took = {program: work.took for program, work in self._desk.works.items()}
                     known = {program: cost for program, cost in took.items() if cost is not None}
                     experience.learn(known, cache_folder())
+            _forget_idle_machines(self._manifest, self._store.machines)
             # What was asked for before may have been interrupted, and is not asked for now.
             self._save(complete=self._store.cells >= self._manifest["cells"])
             if self._manifest["complete"]:
@@ -323,12 +348,6 @@ _ACCUMULATED = ("wall_time_s", "compile_time_s", "env_steps")
 """Numbers of the manifest that grow when an interrupted sweep goes on. Compile time is the sum over processes."""
 
 
-def versions() -> dict[str, str]:
-    """Of what rows are computed with."""
-    libraries = {name: importlib.metadata.version(name) for name in _LIBRARIES}
-    return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
-
-
 def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
     for name, version in versions().items():
         before = manifest["versions"].get(name)
@@ -338,7 +357,7 @@ def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
             )
 
 
-def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> None:
+def _note_machine(out: Path, manifest: dict[str, Any], here: Mapping[str, Any]) -> None:
     """Adds this machine to a manifest that was begun on one of another kind, and says that bits may differ."""
     kind = machine.kind_of(here)
     known = [manifest["machine"], *manifest.get("further_machines", [])]
@@ -349,3 +368,16 @@ def _note_machine(out: Path, manifest: dict[str, Any], here: dict[str, Any]) -> 
     if machine.kind_of(before):  # an old manifest does not say enough to tell
         names = ", ".join(machine.differences(before, here))
         tell(f"{out}: begun on another kind of machine ({names}): last bits may differ, see its manifest")
+
+
+def _forget_idle_machines(manifest: dict[str, Any], with_rows: Container[str]) -> None:
+    """Leaves those machines in the manifest that have computed rows: who hands out cells need not compute any."""
+    known = [manifest["machine"], *manifest.get("further_machines", [])]
+    kinds = [machine.kind_of(each) for each in known]
+    used = [each for each, kind in zip(known, kinds, strict=True) if not kind or kind in with_rows] or known[
+        :1
+    ]
+    manifest["machine"] = used[0]
+    manifest.pop("further_machines", None)
+    if used[1:]:
+        manifest["further_machines"] = used[1:]

@@ -10,7 +10,17 @@ from pathlib import Path
 from gpcjax.errors import UserError
 from gpcjax.sweep import growth
 from gpcjax.sweep.atomic import target_of
-from gpcjax.sweep.layout import BESIDE, DAMAGED, EPISODES, GIVE, GIVE_NEW, MANIFEST, parse_part, reason
+from gpcjax.sweep.layout import (
+    BESIDE,
+    DAMAGED,
+    EPISODES,
+    GIVE,
+    GIVE_NEW,
+    MANIFEST,
+    SHARDS,
+    parse_part,
+    reason,
+)
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
 from gpcjax.sweep.plan import canonical, specification_hash
@@ -77,9 +87,9 @@ def _check_manifest(out: Path, spec: SweepSpec, hash_: str, grows: bool) -> None
 
 
 def _check_empty(out: Path, names: Iterable[str]) -> None:
-    """Nothing but what a sweep leaves that was killed before it wrote its manifest."""
+    """Nothing but what a sweep leaves that was killed before it wrote its manifest, and shards, which are not in it."""
     for name in sorted(names):
-        if name == LOCK or target_of(name) == MANIFEST:
+        if name in (LOCK, SHARDS) or target_of(name) == MANIFEST:
             continue
         parts = name in (EPISODES, *BESIDE)
         inside = sorted(path.name for path in (out / name).iterdir()) if parts else [""]

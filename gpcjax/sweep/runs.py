@@ -44,6 +44,8 @@ class Runs:
             answer = self._say(("next",))
             assert answer is not None
             self._cells.extend(answer[1])
+            for places in answer[2:]:
+                self._saved.add(places)
         if not self._cells:
             return None
         cell = self._cells.popleft()

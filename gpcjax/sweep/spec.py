@@ -119,14 +119,29 @@ _TOKENS = re.compile(
 )
 
 
-def read_toml(path: Path, quick: bool = False) -> dict[str, Given | Unchecked]:
+def read_table(path: Path, name: str) -> dict[str, Any]:
+    """The table of this name of a TOML file, for a command that has one; empty where there is none.
+
+    Raises:
+        UserError: the file cannot be read as TOML, or the name is no table's.
+    """
+    table = _read_table(path).get(name, {})
+    if not isinstance(table, dict):
+        raise UserError(f"{path}: {name} is no table: begin one with a line [{name}]")
+    return table
+
+
+def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Given | Unchecked]:
     """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
+
+    A table of the name `beside` is left out (`read_table`).
 
     Raises:
         UserError: the file is missing, is not TOML, is no file of settings by its size or depth, has a key or value
             that is not allowed, or has no table [quick] though `quick` asks for it.
     """
     table = _read_table(path)
+    table.pop(beside, None)
     has_small, small = QUICK in table, table.pop(QUICK, {})
     if not isinstance(small, dict):
         raise UserError(f"{path}: {QUICK} is no table: begin one with a line [{QUICK}]")

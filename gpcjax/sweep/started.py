@@ -4,6 +4,7 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
+from gpcjax.elsewhere import path_here
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.carried import carried, points_of
@@ -52,13 +53,13 @@ def _learned(cell: Cell) -> tuple[Learner, State, str]:
 
 @functools.lru_cache(maxsize=2)
 def _saved(source: Source) -> tuple[Learner, State]:
-    return load_learner(Path(source.folder))
+    return load_learner(Path(path_here(source.folder)))
 
 
 @functools.lru_cache(maxsize=2)
 def _contents(source: Source) -> sources.Contents:
     """What the folder holds, read once; the same as when the sweep was asked for."""
-    contents = sources.contents_of(Path(source.folder), "start")
+    contents = sources.contents_of(Path(path_here(source.folder)), "start")
     if contents.digest != source.digest:
         raise UserError(f"start {source.folder}: it has changed since the sweep was asked for")
     return contents

@@ -48,7 +48,8 @@ class Store:
     Args:
         out: the run folder; it exists.
         manifest: what it says of the sweep.
-        machine: `gpcjax.sweep.machine.kind_of` the machine that computes what will be appended.
+        machine: `gpcjax.sweep.machine.kind_of` the machine that computes what will be appended, where its rows do not
+            name another one.
         say: takes a line for the person.
         request: the hash of the specification that asked for what will be appended; the first one's by default.
     """
@@ -69,9 +70,11 @@ class Store:
             (out / folder).mkdir(exist_ok=True)
         numbers = [part.number for name in names_in(out / EPISODES) if (part := parse_part(name))]
         self._next = max(numbers, default=-1) + 1
-        self._small: dict[int, list[str]] = {}
-        """Parts that could become one with others, by about how large they are."""
+        self._small: dict[tuple[str, int], list[str]] = {}
+        """Parts that could become one with others, by their kind of machine and about how large they are."""
         self._stored: set[tuple[Any, ...]] = set()
+        self.machines: set[str] = set()
+        """Kinds of machines that have computed what is stored; known once it was asked what is `missing`."""
 
     def missing(self, cells: Iterable[Cell]) -> list[Cell]:
         """The cells that have no rows yet.
@@ -86,8 +89,9 @@ class Store:
             held = cells_of(part.tables[EPISODES], columns)
             found.repeated += len(held & stored)
             stored |= held
-            if part.origin is not None and part.origin[:3] == self._origin[:3]:
-                self._note(part.name, part.size)
+            self.machines.add("" if part.origin is None else part.origin.machine)
+            if part.origin is not None and part.origin[:2] == self._origin[:2]:
+                self._note(part.name, part.size, part.origin.machine)
         self._remove(found.replaced)
         for folder, name in orphans(self._out):
             part = parse_part(name)
@@ -114,33 +118,35 @@ class Store:
         return len(self._stored)
 
     def append(self, rows: Sequence[CellRows]) -> None:
-        """Writes the rows of some cells as one part, and puts parts together where there are many by now."""
-        if not rows:
-            return
-        self._write(tables_of(rows, self._varying))
-        self._stored |= {key_of(row.cell, self._varying) for row in rows}
-        for size in sorted(self._small):
-            if len(self._small[size]) >= TOGETHER:
-                self._put_together(self._small.pop(size))
+        """Writes the rows of some cells, a part for each kind of machine, and puts many parts together as one."""
+        by_machine: dict[str, list[CellRows]] = {}
+        for row in rows:
+            by_machine.setdefault(row.machine or self._origin.machine, []).append(row)
+        for machine, theirs in by_machine.items():
+            self._write(tables_of(theirs, self._varying), machine)
+            self.machines.add(machine)
+            self._stored |= {key_of(row.cell, self._varying) for row in theirs}
+        for key in sorted(self._small):
+            if len(self._small[key]) >= TOGETHER:
+                self._put_together(self._small.pop(key), machine=key[0])
 
-    def _write(self, tables: Mapping[str, pa.Table], replaces: Sequence[str] = ()) -> None:
-        files = {
-            folder: sealed(tables[folder], folder, self._origin) for folder in BESIDE if folder in tables
-        }
+    def _write(self, tables: Mapping[str, pa.Table], machine: str, replaces: Sequence[str] = ()) -> None:
+        origin = self._origin._replace(machine=machine)
+        files = {folder: sealed(tables[folder], folder, origin) for folder in BESIDE if folder in tables}
         sums = {folder: sha256(data) for folder, data in files.items()}
-        episodes = sealed(tables[EPISODES], EPISODES, self._origin, sums, replaces)
+        episodes = sealed(tables[EPISODES], EPISODES, origin, sums, replaces)
         name = part_name(self._next, self._origin.hash, episodes)
         for folder, data in files.items():
             write_atomic(self._out / folder / name, data)
         write_atomic(self._out / EPISODES / name, episodes)
         self._next += 1
-        self._note(name, len(episodes) + sum(map(len, files.values())))
+        self._note(name, len(episodes) + sum(map(len, files.values())), machine)
 
-    def _note(self, name: str, size: int) -> None:
+    def _note(self, name: str, size: int, machine: str) -> None:
         if size < LARGEST_PART:
-            self._small.setdefault(int(math.log(size, TOGETHER / 2)), []).append(name)
+            self._small.setdefault((machine, int(math.log(size, TOGETHER / 2))), []).append(name)
 
-    def _put_together(self, names: Sequence[str]) -> None:
+    def _put_together(self, names: Sequence[str], machine: str) -> None:
         """Writes the rows of some parts as one, then removes them. Leaves them where one is damaged by now."""
         wanted: dict[str, Sequence[str] | None] = dict.fromkeys((EPISODES, *BESIDE))
         try:
@@ -157,7 +163,7 @@ class Store:
             for folder in wanted
             if any(folder in tables for tables in found)
         }
-        self._write(tables, replaces=names)
+        self._write(tables, machine, replaces=names)
         self._remove(names)
 
     def _remove(self, names: Iterable[str]) -> None:

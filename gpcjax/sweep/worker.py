@@ -4,6 +4,7 @@ What it says and what it is answered is listed in `gpcjax.sweep.executors.base`.
 """
 
 import ctypes
+import dataclasses
 import gc
 import threading
 import time
@@ -14,6 +15,7 @@ from contextlib import contextmanager
 import jax
 import numpy as np
 
+from gpcjax.engine.block import Counters
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
@@ -23,7 +25,8 @@ from gpcjax.sweep.environment import programs_folder, refuse_another_environment
 from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors.base import Message, Orders, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
-from gpcjax.sweep.plan import Cell
+from gpcjax.sweep.keeping import Keeping
+from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.runs import Runs
 
 REPORT_SECONDS = 0.25
@@ -57,8 +60,12 @@ class _Worker:
         self.unheard: BaseException | None = None
         """What the desk, or the way to it, raised: no error of the worker's own."""
         self._done = Totals()
+        self._before = Counters()
+        """What the pool that it runs had done before."""
         self._reported = 0.0
         self._compiled = 0
+        self._pool: tuple[tuple[Program, Keeping | None], Pool] | None = None
+        """The last one, and what it is for: a worker that stays may be asked for more of the same."""
         folder = programs_folder()
         self._programs = None if folder is None else Executables(folder)
 
@@ -71,13 +78,16 @@ class _Worker:
                     give_back_memory()
                 case ("baseline", str() as env, str() as name):
                     self._say(("baseline", name, baseline(env, name)))
+                case ("again",):
+                    self._done = Totals()
                 case _:
                     return
 
     def _teach(self, first: Cell, orders: Orders) -> None:
-        pool = make_pool(first, orders.keeping, self._programs)
+        pool = self._pool_for(first, orders.keeping)
         runs = Runs(pool, orders, self._say)
-        self._compiled = 0
+        self._before = dataclasses.replace(pool.counters)
+        self._compiled = pool.counters.compilations
 
         def look() -> None:
             self._look(pool)
@@ -86,6 +96,13 @@ class _Worker:
         pool.run(runs.next_start, runs.deliver, look, runs.keep)
         self._done = self._progress(pool)
         self._say(("progress", self._done))
+
+    def _pool_for(self, first: Cell, keeping: Keeping | None) -> Pool:
+        wanted = program_of(first), keeping
+        if self._pool is None or self._pool[0] != wanted:
+            self._pool = None  # its memory first
+            self._pool = wanted, make_pool(first, keeping, self._programs)
+        return self._pool[1]
 
     def _look(self, pool: Pool) -> None:
         if pool.counters.compilations > self._compiled:
@@ -96,12 +113,10 @@ class _Worker:
             self._say(("progress", self._progress(pool)))
 
     def _progress(self, pool: Pool) -> Totals:
-        done, counters = self._done, pool.counters
+        done, before, counters = self._done, self._before, pool.counters
+        names = ("env_steps", "episodes", "compile_seconds", "compilations")
         return Totals(
-            done.env_steps + counters.env_steps,
-            done.episodes + counters.episodes,
-            done.compile_seconds + counters.compile_seconds,
-            done.compilations + counters.compilations,
+            *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names)
         )
 
     def _say(self, message: Message) -> Message | None:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gpcjax.describe import TeacherSpec
+from gpcjax.elsewhere import path_here
 from gpcjax.errors import UserError
 from gpcjax.moment import Moment
 from gpcjax.recording import RECORD, Recording
@@ -63,7 +64,7 @@ def described_record(path: str, source: str) -> TeacherSpec:
     Raises:
         UserError: there is no recording, or one without advice; `source` begins the message.
     """
-    file = os.path.expanduser(path)
+    file = path_here(path)
     if os.path.isdir(file):
         file = os.path.join(file, RECORD)
     try:

@@ -80,16 +80,20 @@ class Fitted:
 
     | Field      | Meaning                                                                   |
     |------------|---------------------------------------------------------------------------|
-    | `settings` | that a sweep takes (`gpcjax.sweep(**settings)`), in place of what it had   |
+    | `settings` | that a sweep takes (`gpcjax.run_sweep(**settings)`), in place of what it had |
+    | `usual`    | the sweep of the folder, with other seeds                                 |
     | `spec`     | the sweep of the folder with them, and with other seeds                    |
     | `best`     | the file that has it                                                      |
     | `fits`     | of each model                                                             |
     """
 
     settings: Mapping[str, Any]
+    usual: SweepSpec
     spec: SweepSpec
     best: Path
     fits: tuple[Fit, ...]
+    comments: tuple[str, ...] = ()
+    """What the file begins with."""
 
     @property
     def sheet(self) -> Sheet:
@@ -149,9 +153,10 @@ def by_likelihood(
     if "human" not in models:
         settings |= _unchanged(held["human"], settings)
     spec = _with(folder, base, settings)
-    fitted = Fitted(settings, spec, out / BEST, tuple(fits))
+    fitted = Fitted(settings, base, spec, out / BEST, tuple(fits))
+    fitted = dataclasses.replace(fitted, comments=tuple(_comments(folder, runs, fitted)))
     out.mkdir(parents=True, exist_ok=True)
-    write_atomic(fitted.best, text_of(spec, _comments(folder, runs, fitted)))
+    write_atomic(fitted.best, text_of(spec, fitted.comments))
     return fitted
 
 

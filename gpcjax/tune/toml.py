@@ -4,7 +4,8 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from gpcjax.sweep.options import OPTIONS
+from gpcjax.registry import find
+from gpcjax.sweep.options import OPTIONS, concerns
 from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import SweepSpec, as_dict
@@ -15,7 +16,12 @@ _ALWAYS = ("env", "algo", "seeds", "episodes", "error", "oracle")
 
 def text_of(spec: SweepSpec, comments: Iterable[str] = ()) -> str:
     """The file, which begins with these lines as comments. Every number comes back to the bit."""
-    settings = as_dict(spec)
+    learners, teacher = [find("learner", name) for name in spec.algo], find("teacher", spec.teacher)
+    settings = {
+        name: value
+        for name, value in as_dict(spec).items()
+        if name not in OPTIONS or any(concerns(name, learner, teacher) for learner in learners)
+    }
     hyperparameters, points = settings.pop("hyperparameters"), settings.pop(POINTS, [])
     lines = [f"# {line}".rstrip() for line in comments]
     lines += ["", *_lines({name: settings.pop(name) for name in _ALWAYS}), *_unusual(settings)]

@@ -109,6 +109,20 @@ class TestMatching:
         table = areas(gpcjax.compare(one, other))
         assert (table["algo_first"][0], table["algo_second"][0]) == ("gpc", "coach") and len(table) == 1
 
+    def test_a_series_is_one_value(self, tmp_path):
+        one, other = folder(tmp_path / "one"), folder(tmp_path / "other", loss=7.0)
+        for path, rates in ((one, [0.1, 0.2]), (other, [0.3, 0.2, 0.1])):
+            manifest = json.loads((path / "manifest.json").read_text())
+            manifest["specification"]["rate_schedule"] = rates
+            write_manifest(path, manifest | {"hash": hash_of(manifest["specification"])})
+        found = gpcjax.compare(one, other)
+        assert found.matches[0].across == ("rate_schedule",)
+        assert set(areas(found)["rate_schedule_first"]) == {"0.1 0.2"}
+        found.save(tmp_path / "out")
+        profiles = pd.read_csv(tmp_path / "out" / "profiles.csv")
+        assert set(profiles["rate_schedule"]) == {"0.1 0.2", "0.3 0.2 0.1"}
+        assert "0.1 0.2 / 0.3 0.2 0.1" in (tmp_path / "out" / "comparison.html").read_text()
+
     def test_two_settings_only_if_asked(self, tmp_path):
         one, other = (
             folder(tmp_path / "a", given={LP: 0.1}),

@@ -244,3 +244,64 @@ def test_one_alone_is_stopped_without_a_word(alone, capfd):
     assert out in ("seed 0\n", "") and err == ""
     alone("print('seed 1', file=sys.stdout)\nprint('a warning', file=sys.stderr)")
     assert capfd.readouterr() == ("seed 1\n", "")
+
+
+STAYS = """
+told = []
+while True:
+    parent.send(("ready",))
+    answer = parent.recv()
+    if answer[0] == "again":
+        continue
+    parent.send(("next",))
+    while cells := parent.recv()[1]:
+        for cell in cells:
+            parent.send(("note", f"{os.getpid()} {cell.seed}"))
+            parent.send(("failed", "to be seen", "") if cell.seed == 99 else ("progress", None))
+        parent.send(("next",))
+"""
+
+
+def test_workers_stay_within_a_context(monkeypatch):
+    """The second sweep finds the processes of the first; they end with the context, and with a failure."""
+    monkeypatch.setattr(
+        processes, "script", lambda _, number, parent: [sys.executable, "-c", START + STAYS, number]
+    )
+    heard = []
+
+    class Heard(Desk):
+        def _answer(self, worker, message):
+            if message[0] == "note":
+                heard.append((worker, *map(int, message[1].split())))
+            return None if message[0] == "progress" else super()._answer(worker, message)
+
+    def desk(seeds):
+        cells = plan(spec_of(env="cartpole", algo="coach", seeds=seeds, oracle="lqr"))
+        return Heard(cells, [], 2, lambda rows: None, lambda *_: None, lambda totals: None)
+
+    with processes.Processes(2) as executor:
+        executor.run(desk("0-3"))
+        first, heard[:] = list(heard), []
+        executor.run(desk("4-7"))
+        second = list(heard)
+        living = [worker.process for worker in executor._workers]
+        assert len(living) == 2 and all(process.poll() is None for process in living)
+    assert all(process.poll() is not None for process in living)
+    assert {seed for _, _, seed in first} == {0, 1, 2, 3} and {seed for _, _, seed in second} == {4, 5, 6, 7}
+    assert {pid for _, pid, _ in second} <= {process.pid for process in living}
+    with processes.Processes(1) as executor, pytest.raises(Failure, match="to be seen"):
+        executor.run(desk("99,100"))
+    assert not executor._workers
+
+
+def test_a_worker_that_ends_while_it_waits_is_told_of(monkeypatch):
+    monkeypatch.setattr(
+        processes, "script", lambda _, number, parent: [sys.executable, "-c", START + STAYS, number]
+    )
+    with processes.Processes(1) as executor:
+        executor.run(Desk(CELLS[:0], [], 1, lambda rows: None, lambda *_: None, lambda totals: None))
+        (worker,) = executor._workers
+        worker.process.kill()
+        worker.process.wait()
+        with pytest.raises(Failure, match="was killed by SIGKILL"):
+            executor.run(Desk(CELLS[:1], [], 1, lambda rows: None, lambda *_: None, lambda totals: None))

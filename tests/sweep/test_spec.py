@@ -38,7 +38,7 @@ def test_defaults():
 
 def test_the_table_and_the_specification_have_the_same_settings():
     names = {option.name for option in EXPERIMENT + VARIANTS}
-    assert names == {field.name for field in fields(SweepSpec)} - {"hyperparameters"}
+    assert names == {field.name for field in fields(SweepSpec)} - {"hyperparameters", "points"}
     settings = {each.name for spec in (*LEARNERS, find("teacher", "oracle")) for each in spec.settings}
     settings |= {each.name for each in CREDIT}
     assert {option.name for option in TUNING} == settings

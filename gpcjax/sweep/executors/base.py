@@ -3,9 +3,12 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
-    ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name) or
-                                 ("stop",)
-    ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end
+    ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
+                                 ("stop",), or of an executor ("again",): this is another sweep, say it again
+    ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end, and a
+                                 third entry {Cell: Place} where runs of these can go on
+    ("machine", description)     computes on this machine (`gpcjax.sweep.machine.describe`): first of all, and only
+                                 from another one than the desk's
     ("rows", CellRows)           has finished a cell
     ("baseline", name, numbers)  has measured an idle policy or an expert
     ("progress", Totals)         has done so much so far; some times a second
@@ -28,6 +31,7 @@ from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.estimate import Work
 from gpcjax.sweep.keeping import Keeping
+from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.sharing import Before, Sharing
@@ -115,6 +119,8 @@ class _Heard:
     compiling_since: float | None = None
     baseline: tuple[str, str] | None = None
     """What it measures now."""
+    machine: str = ""
+    """The kind of machine that it is on, where that is another one than the desk's."""
 
 
 class Desk:
@@ -130,6 +136,7 @@ class Desk:
         on_note: called with each line that a worker has for the person.
         orders: what workers do beside.
         before: tells what programs took the last time.
+        on_machine: called with the description of each machine that a worker says to be on.
     """
 
     def __init__(
@@ -143,6 +150,7 @@ class Desk:
         on_note: Callable[[str], None] = lambda line: None,
         orders: Orders = Orders(),
         before: Before = lambda programs: {},
+        on_machine: Callable[[Mapping[str, Any]], None] = lambda described: None,
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
         self.workers = max(1, min(jobs, len(self.cells) or 1))
@@ -150,11 +158,23 @@ class Desk:
         self._sharing = Sharing(self.cells, self.workers, before)
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
-        self._on_note, self._orders = on_note, orders
+        self._on_note, self._on_machine = on_note, on_machine
+        self._orders, self._places = orders, dict(orders.places)
         self._heard = [_Heard() for _ in range(self.workers)]
-        self._before: list[Totals] = []
-        """What workers had done that are gone."""
+        self._done = Totals()
+        """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
         self._lock = threading.Lock()
+
+    @property
+    def orders(self) -> Orders:
+        """What workers do beside."""
+        return self._orders
+
+    @property
+    def done(self) -> bool:
+        """Whether all rows and baselines have come."""
+        with self._lock:
+            return not (self._sharing.left or self._measuring())
 
     @property
     def works(self) -> dict[Program, Work]:
@@ -182,34 +202,42 @@ class Desk:
             stopping.check()
             self._on_progress(self._totals())
 
-    def lose(self, worker: int) -> None:
+    def lose(self, worker: int, places: Mapping[Cell, Place] = {}) -> None:
         """Take back what this worker had, which is gone, for others; for executors whose machines come and go.
 
         What it still says must not be passed on. Workers that were told to stop are not called back, so another one
-        should be run in its place, under the same number.
+        should be run in its place, under the same number. `places` are where its runs can go on.
         """
         with self._lock:
             heard, self._heard[worker] = self._heard[worker], _Heard()
-            self._before.append(heard.progress)
-            self._sharing.lose(worker)
+            lost = self._sharing.lose(worker)
+            self._places |= {cell: places[cell] for cell in lost if cell in places}
             if heard.baseline is not None:
                 self._measure.appendleft(heard.baseline)
 
     def refuse_less(self) -> None:
         """Raise `Failure` unless all rows and baselines have come: an executor ended too early."""
-        left = self._sharing.left
-        measuring = [*self._measure, *(heard.baseline for heard in self._heard if heard.baseline)]
+        left, measuring = self._sharing.left, self._measuring()
         if left or measuring:
-            raise Failure(f"the executor ended with {left} cells and {len(measuring)} baselines to do")
+            raise Failure(f"the executor ended with {left} cells and {measuring} baselines to do")
+
+    def _measuring(self) -> int:
+        """Baselines that have not come."""
+        return len(self._measure) + sum(heard.baseline is not None for heard in self._heard)
 
     def _answer(self, worker: int, message: Message) -> Message | None:
         match message:
             case ("ready",):
                 return self._next_program(worker)
             case ("next",):
-                return ("cells", self._sharing.next_cells(worker))
+                cells = self._sharing.next_cells(worker)
+                places = {cell: self._places[cell] for cell in cells if cell in self._places}
+                return ("cells", cells, places) if places else ("cells", cells)
             case ("rows", CellRows() as rows):
-                self._take(rows)
+                self._take(rows, self._heard[worker].machine)
+            case ("machine", dict() as described):
+                self._heard[worker].machine = kind_of(described)
+                self._on_machine(described)
             case ("baseline", name, numbers):
                 self._heard[worker].baseline = None
                 self._on_baseline(name, numbers)
@@ -236,7 +264,9 @@ class Desk:
             return ("baseline", *heard.baseline)
         return ("stop",)
 
-    def _take(self, rows: CellRows) -> None:
+    def _take(self, rows: CellRows, machine: str) -> None:
+        if machine:
+            rows = dataclasses.replace(rows, machine=machine)
         if not self._sharing.back(rows.cell):
             raise Failure(f"rows of a cell came that no worker has: {rows.cell}")
         work = self._sharing.works[program_of(rows.cell)]
@@ -249,6 +279,13 @@ class Desk:
         """Put what a worker has done since it was last heard, and the time, down to its program."""
         heard, now = self._heard[worker], time.monotonic()
         before, heard.progress = heard.progress, progress
+        done = self._done
+        self._done = Totals(
+            done.env_steps + progress.env_steps - before.env_steps,
+            done.episodes + progress.episodes - before.episodes,
+            done.compile_seconds + progress.compile_seconds - before.compile_seconds,
+            done.compilations + progress.compilations - before.compilations,
+        )
         program = self._sharing.at(worker)
         if program is None:
             return
@@ -260,14 +297,10 @@ class Desk:
         heard.since = now
 
     def _totals(self) -> Totals:
-        done = [*self._before, *(heard.progress for heard in self._heard)]
         long_ago = time.monotonic() - COMPILES_FROM
-        compiling = [heard.compiling_since for heard in self._heard]
-        return Totals(
-            env_steps=sum(progress.env_steps for progress in done),
-            episodes=sum(progress.episodes for progress in done),
-            compile_seconds=sum(progress.compile_seconds for progress in done),
-            compilations=sum(progress.compilations for progress in done),
+        compiling = (heard.compiling_since for heard in self._heard)
+        return dataclasses.replace(
+            self._done,
             works=tuple(self._sharing.works.values()),
             compiling=any(since is not None and since < long_ago for since in compiling),
         )

@@ -4,6 +4,7 @@ import dataclasses
 import os
 import signal
 import subprocess
+from collections.abc import Sequence
 from contextlib import ExitStack
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
@@ -33,6 +34,8 @@ class _Worker:
     """What it writes to stderr can be read here."""
     last_words: bytes = b""
     """The end of what it has written."""
+    waits: bool = False
+    """Whether it has said that it is ready, and has no answer yet."""
 
     def listen(self) -> bool:
         """Take in what it has written; False if it can write no more."""
@@ -54,6 +57,9 @@ class _Worker:
 class Processes:
     """An executor: so many processes of this machine, which run `gpcjax.sweep.executors.served`.
 
+    As a context, `with Processes(jobs) as executor`, it keeps its workers from one sweep to the next, until the end of
+    the context: they import and compile once. A worker that has nothing to do waits then for an answer.
+
     Args:
         jobs: processes at once.
     """
@@ -61,9 +67,23 @@ class Processes:
     def __init__(self, jobs: int):
         self.jobs = jobs
         self._workers: list[_Worker] = []
+        self._stay = False
+
+    def __enter__(self) -> "Processes":
+        self._stay = True
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stay = False
+        self._end()
+
+    def _end(self) -> None:
+        for worker in self._workers:
+            worker.end()
+        self._workers = []
 
     def run(self, desk: Desk) -> None:
-        """Returns when all is done. Workers never outlive this call.
+        """Returns when all is done. Workers never outlive this call, or its context.
 
         Raises:
             Failure: a worker failed, ended or could not be started; the message has its reason.
@@ -71,18 +91,26 @@ class Processes:
         """
         try:
             environment = worker_environment()
-            for number in range(desk.workers):
+            for number in range(len(self._workers), desk.workers):
                 self._workers.append(_start(number, environment))
-            self._serve_all(desk)
-        finally:
-            for worker in self._workers:
-                worker.end()
-            self._workers = []
+            self._serve_all(desk, self._workers[: desk.workers])
+        except BaseException:
+            self._end()
+            raise
+        if not self._stay:
+            self._end()
 
-    def _serve_all(self, desk: Desk) -> None:
+    def _serve_all(self, desk: Desk, workers: Sequence[_Worker]) -> None:
         """Answers messages until no worker has more to do."""
-        working = {worker.connection: worker for worker in self._workers}
-        writing = {worker.errors: worker for worker in self._workers}
+        for worker in workers:
+            if worker.waits:
+                worker.waits = False
+                try:
+                    worker.connection.send(("again",))
+                except ConnectionError:
+                    raise _end_of(worker) from None
+        working = {worker.connection: worker for worker in workers}
+        writing = {worker.errors: worker for worker in workers}
         stop = stopping.wakeup()
         while working:
             stopping.check()
@@ -95,18 +123,19 @@ class Processes:
             for connection in working.keys() & set(ready):
                 stopping.check()
                 try:
-                    more = _serve(working[connection], desk)
+                    more = _serve(working[connection], desk, self._stay)
                 except (EOFError, ConnectionError):
                     raise _end_of(working[connection]) from None
                 if not more:
                     del working[connection]
 
 
-def _serve(worker: _Worker, desk: Desk) -> bool:
-    """Answers one message; False if the worker has no more to do."""
+def _serve(worker: _Worker, desk: Desk, stay: bool) -> bool:
+    """Answers one message; False if the worker has no more to do, and waits for the answer if it is to stay."""
     message = worker.connection.recv()
     answer = desk.answer(worker.number, message)
-    if message[0] in ASKS:
+    worker.waits = stay and answer == ("stop",)
+    if message[0] in ASKS and not worker.waits:
         worker.connection.send(answer)
     return answer != ("stop",)
 

@@ -1,0 +1,26 @@
+"""What rows are computed with, beside the machine: versions, and the source of this package. Loads no jax."""
+
+import functools
+import hashlib
+import importlib.metadata
+import platform
+from pathlib import Path
+
+import gpcjax
+
+_LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
+
+
+def versions() -> dict[str, str]:
+    """Of what rows are computed with."""
+    libraries = {name: importlib.metadata.version(name) for name in _LIBRARIES}
+    return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
+
+
+@functools.cache
+def source_digest() -> str:
+    """Twelve hex digits that installations share whose source is the same, word by word."""
+    root, source = Path(gpcjax.__file__).parent, hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        source.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return source.hexdigest()[:12]

@@ -1,0 +1,108 @@
+"""The flags of `gpcjax tune` beside those of a sweep, in one table. Standard library only."""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gpcjax.allowed import COUNT, Anything, Numbers, OneOf
+from gpcjax.errors import UserError
+from gpcjax.sweep.options import Option, accept, parse
+from gpcjax.sweep.seeds import WORDS, Seeds
+from gpcjax.tune import halving
+from gpcjax.tune.names import OBJECTIVES
+
+METHODS = ("tpe", "grid", "mll")
+TABLE = "tune"
+"""The table of a TOML file with the flags of this command."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """A flag of this command: what it takes, what it is, and what holds without it."""
+
+    kind: type
+    allowed: Any
+    text: str
+    metavar: str
+    default: Any = None
+    methods: tuple[str, ...] = METHODS
+    """Those that it concerns."""
+
+    @property
+    def help(self) -> str:
+        """The text, with what holds without it."""
+        usual = (
+            ""
+            if self.default is None
+            else f"; default {self.default:g}"
+            if self.kind is float
+            else f"; default {self.default}"
+        )
+        whose = f"{self.methods[0]} alone: " if len(self.methods) == 1 else ""
+        return f"{whose}{self.text} ({self.allowed}{usual})"
+
+
+FLAGS: dict[str, Own] = {
+    "method": Own(str, OneOf(METHODS), "how", "METHOD", METHODS[0]),
+    "objective": Own(
+        str,
+        Anything(", ".join(OBJECTIVES)),
+        "what for; several for a Pareto front",
+        "A,B,...",
+        "area",
+        ("tpe", "grid"),
+    ),
+    "trials": Own(int, COUNT, "how many points", "N", 100, ("tpe",)),
+    "batch": Own(int, Numbers(1, 10_000, whole=True), "of these at once", "N", 16, ("tpe",)),
+    "rungs": Own(
+        str,
+        Anything(halving.FORM),
+        "successive halving, before all seeds and episodes",
+        "4x10,8",
+        methods=("tpe",),
+    ),
+    "eta": Own(float, halving.ETA, "one of so many goes on to the next rung", "ETA", 3.0, ("tpe",)),
+    "sampler_seed": Own(
+        int, Numbers(0, 2**31 - 1, whole=True), "of the sampler's random numbers", "SEED", 0, ("tpe",)
+    ),
+    "check_seeds": Own(
+        Seeds,
+        Anything(WORDS),
+        "on which the best is judged, none of the search's; default 1000-1099",
+        "SEEDS",
+    ),
+    "runs": Own(
+        str,
+        Anything("the path of a run folder with kept states"),
+        "whose dictionaries are fitted",
+        "FOLDER",
+        methods=("mll",),
+    ),
+}
+
+
+def own_values(arguments: argparse.Namespace, table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """The values of this command's flags, and where each of them stood as `source of NAME`; flags win."""
+    written = {str(key).replace("-", "_"): (value, f"{prefix}{key}") for key, value in table.items()}
+    for name, (_, source) in written.items():
+        if name not in (*FLAGS, "search"):
+            raise UserError(f"{source} is no setting of a search: give {', '.join([*FLAGS, 'search'])}")
+    found: dict[str, Any] = {}
+    for name, flag in FLAGS.items():
+        option, text = Option(name, flag.kind, flag.allowed, ""), getattr(arguments, name)
+        source = (
+            f"--{name.replace('_', '-')}" if text is not None or name not in written else written[name][1]
+        )
+        found[f"source of {name}"] = source
+        if text is not None:
+            found[name] = parse(option, text, source)
+        elif name in written:
+            found[name] = accept(option, written[name][0], source)
+        else:
+            found[name] = flag.default
+            continue
+        method = found["method"]
+        if method not in flag.methods:
+            raise UserError(f"{source}: with --method {method} it changes nothing, leave it out")
+    return found

@@ -1,0 +1,196 @@
+"""The workers of a cluster as the desk's side handles them: places, losses, checkpoints. No Ray, no process."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from gpcjax.errors import Failure, UserError
+from gpcjax.policies.folder import write_folder
+from gpcjax.sweep import machine
+from gpcjax.sweep.checkpoints import KIND, cell_as_json
+from gpcjax.sweep.checkpoints import Place as CheckpointPlace
+from gpcjax.sweep.executors import Desk, Orders, ray
+from gpcjax.sweep.machine import kind_of
+from gpcjax.sweep.parcel import pack
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.rows import CellRows
+from gpcjax.sweep.spec import spec_of
+from tests.cluster.fakes import HERE, NEVER, FakeRay, there
+
+CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
+OTHER = {**HERE.machine, "vector_features": "none at all"}
+
+
+def rows_of(cell):
+    return CellRows(cell, np.array([1]), ["ok"], {"length": np.array([7])}, {})
+
+
+class Good:
+    """A worker that does what it is told; after `most` cells it is lost."""
+
+    def __init__(self, place=HERE, most=99, first=()):
+        self._place, self._left, self._first, self.got = place, most, list(first), []
+
+    def begin(self):
+        return self._place
+
+    def hear(self, answer, archives):
+        self.got.append((answer, archives))
+        match answer:
+            case None:
+                return [*self._first, ("ready",)]
+            case ("program", *_):
+                return [("next",)]
+            case ("cells", []):
+                return [("ready",)]
+            case ("cells", cells, *_):
+                done, self._left = min(len(cells), self._left), self._left - len(cells)
+                said = [("rows", rows_of(cell)) for cell in cells[:done]]
+                return [*said, ("next",) if self._left >= 0 else ("ended", "a worker process was killed")]
+        raise AssertionError(answer)
+
+
+class Waiting:
+    """One that finds no machine."""
+
+    def begin(self):
+        return NEVER
+
+
+class Gone(Good):
+    """One whose machine is lost at once."""
+
+    def begin(self):
+        raise RuntimeError("The actor died\nbecause its node has died")
+
+
+def served(hire, jobs=1, orders=Orders()):
+    """Serves a desk with these actors; gives rows, notes, machines and the fake."""
+    got, notes, machines = [], [], []
+    fake = FakeRay(hire)
+    desk = Desk(
+        CELLS,
+        [],
+        jobs,
+        got.append,
+        lambda *_: None,
+        lambda _: None,
+        notes.append,
+        orders,
+        on_machine=machines.append,
+    )
+    crew = ray._Crew(fake, desk)
+    crew.serve()
+    crew.dismiss()
+    desk.refuse_less()
+    return got, notes, machines, fake
+
+
+def test_cells_of_a_worker_that_is_lost_go_to_another_one():
+    got, notes, _, fake = served(lambda number: Good(most=2 if number == 0 else 99))
+    assert sorted(rows.cell.seed for rows in got) == [0, 1, 2, 3]
+    assert len(fake.actors) == 2 and fake.killed == [fake.actors[0]]
+    (note,) = notes
+    assert note.startswith(f"a worker on {HERE.name} is lost") and note.endswith(
+        "(a worker process was killed)"
+    )
+
+
+def test_a_machine_that_is_lost_before_it_began():
+    got, notes, _, fake = served(lambda number: Gone() if number < 3 else Good())
+    assert len(got) == 4 and len(fake.actors) == 4
+    assert notes == [
+        "a worker on the cluster is lost, its runs go to others (The actor died)"
+    ]  # once, not thrice
+
+
+def test_one_that_is_lost_again_and_again_ends_the_sweep():
+    with pytest.raises(Failure, match=r"^a worker on the cluster was lost 4 times: The actor died$"):
+        served(lambda number: Gone())
+
+
+def test_workers_that_find_no_machine_are_not_waited_for():
+    got, _, _, fake = served(lambda number: Good() if number == 1 else Waiting(), jobs=3)
+    assert len(got) == 4 and len(fake.killed) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"versions": {**HERE.versions, "jax": "0.9.9"}}, r"^machine node7: it has jax 0\.9\.9, this one \d"),
+        ({"source": "abc"}, r"^machine node7: its gpcjax 0\S+ is of another source \(abc, here \w{12}\)"),
+    ],
+)
+def test_a_machine_with_other_versions_is_refused(changes, message):
+    with pytest.raises(UserError, match=message):
+        served(lambda number: Good(there("node7", **changes)))
+
+
+def test_rows_of_another_kind_of_machine_say_so():
+    got, _, machines, _ = served(lambda number: Good(there(machine=OTHER)) if number else Good(most=1))
+    kinds = [rows.machine for rows in got]
+    assert kinds == ["", *[kind_of(OTHER)] * 3] and machines == [OTHER]
+
+
+class TestCheckpoints:
+    """What a worker saves comes to the desk's side, and goes with its cells to the next one of the same kind."""
+
+    @pytest.fixture
+    def archive(self, tmp_path):
+        name = "1795715941520164536-10949-0"
+        runs = [{"cell": cell_as_json(cell), "steps": 5, "kept": []} for cell in CELLS[:3]]
+        write_folder(tmp_path / name, {"kind": KIND, "runs": runs, "lanes": []}, {"some": np.arange(3.0)})
+        return name, pack([(tmp_path / name, name)])
+
+    @pytest.fixture
+    def orders(self, tmp_path):
+        return Orders(checkpoints=str(tmp_path / "out" / "checkpoints"), seconds=15.0)
+
+    @pytest.mark.parametrize("changes", [{}, {"machine": OTHER}])
+    def test_of_one_that_is_lost(self, archive, orders, changes, tmp_path):
+        class Saving(Good):
+            def hear(self, answer, archives):
+                saved = [("checkpoint", *archive)] if answer and answer[0] == "cells" else []
+                return [*saved, *super().hear(answer, archives)]
+
+        got, _, _, fake = served(
+            lambda number: Good(there(**changes)) if number else Saving(most=0), orders=orders
+        )
+        assert len(got) == 4
+        sent = [each for each in fake.actors[1].got if each[0] and each[0][0] == "cells" and each[0][1]]
+        places = {
+            cell: place for (_, _, *more), _ in sent for cell, place in (more[0] if more else {}).items()
+        }
+        archives = {name for _, given in sent for name in given}
+        if changes:  # on another kind of machine its bits would be neither of the two
+            assert not places and not archives
+        else:
+            assert places == {CELLS[0]: CheckpointPlace(archive[0], 0)}  # the one that it had
+            assert archives == {archive[0]}
+        assert (tmp_path / "out" / "checkpoints" / archive[0] / "card.json").is_file()
+
+    def test_a_newer_one_takes_the_place_of_the_one_before(self, archive, orders, tmp_path):
+        name, packed = archive
+        first = [("checkpoint", name, packed), ("checkpoint", "no_such", packed)]
+        _, notes, _, _ = served(lambda number: Good(first=first), orders=orders)
+        assert len(notes) == 1 and notes[0].startswith(
+            "no checkpoint: "
+        )  # the name is not that of what is in it
+        assert [path.name for path in (tmp_path / "out" / "checkpoints").iterdir()] == [name]
+
+    def test_where_many_save_each_does_it_less_often(self, orders):
+        desk = Desk(CELLS, [], 4, lambda _: None, lambda *_: None, lambda _: None, orders=orders)
+        desk.workers = 1000
+        crew = ray._Crew(FakeRay(lambda number: Waiting()), desk)
+        member = ray._Member(0, None, HERE, kind_of(HERE.machine))
+        answer, _ = pickle.loads(crew._packed(member, ("program", CELLS[0], orders)))
+        assert answer[2].seconds == 250.0 and answer[2].places == {}
+        never = dataclasses.replace(orders, seconds=0.0)
+        answer, _ = pickle.loads(crew._packed(member, ("program", CELLS[0], never)))
+        assert answer[2].seconds == 0.0
+
+
+def test_this_machine_is_described_as_everywhere():
+    assert HERE.machine == machine.describe() and len(HERE.source) == 12

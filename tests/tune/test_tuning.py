@@ -1,0 +1,243 @@
+"""A search from its words to its page: the runs follow a formula, all else is real."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from gpcjax import cli
+from gpcjax.report.figures import style
+from gpcjax.sweep.spec import make_spec, read_toml
+from gpcjax.tune import carrying_out
+from tests.tune.landscape import Landscape
+
+SEARCH = ("--search", "policy-length-scale=0.01:100", "--search", "human-length-scale=0.01:100")
+WORDS = (
+    "tune",
+    "--env",
+    "cartpole",
+    "--seeds",
+    "2",
+    "--episodes",
+    "3",
+    "--check-seeds",
+    "100-102",
+    "--batch",
+    "4",
+    "--out",
+    "o",
+)
+
+
+@pytest.fixture
+def workers(monkeypatch, tmp_path):
+    """Has searches run on these workers; what they draw is made, and not painted, which takes most of the time."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
+
+    def use(landscape):
+        monkeypatch.setattr(carrying_out, "Processes", lambda jobs: landscape)
+        return landscape
+
+    use(Landscape())
+    return use
+
+
+def tuned(folder):
+    return make_spec(read_toml(folder / "best.toml"))
+
+
+def table(folder):
+    return pd.read_csv(folder / "tune.csv")
+
+
+def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    workers(Landscape())
+    assert cli.main([*WORDS, *SEARCH, "--trials", "10"]) == 0
+    printed = capsys.readouterr()
+    assert "trials 0 to 3 of 10" in printed.err and "trials 8 to 9 of 10, best area so far" in printed.err
+    assert "area, tuned minus usual, on seeds 100-102: " in printed.out
+    found = table(tmp_path / "o")
+    assert len(found) == 10 and list(found["area"]) == sorted(found["area"], reverse=True)
+    assert (found["runs"] == 2).all() and found["tied"].iloc[0]
+    best = tuned(tmp_path / "o")
+    assert best.hyperparameters["policy_length_scale"] == (found["policy_length_scale"][0],)
+    assert str(best.seeds) == "100-102" and best.episodes == 3
+    page = (tmp_path / "o" / "tune.html").read_text()
+    assert "GPC on Cart-pole, tuned" in page and "no difference shown" not in page
+    for name in ("tune.png", "study.db", "search/report.html", "check/comparison.html"):
+        assert (tmp_path / "o" / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("rungs", [(), ("--rungs", "1x2,1", "--eta", "2")], ids=["all", "halved"])
+def test_stopped_anywhere_it_goes_on_to_the_same(workers, tmp_path, capsys, rungs):
+    """No cell runs once more, and the tables, the best and the check are what they are without a stop."""
+    words = [*WORDS, *SEARCH, "--trials", "6", *rungs]
+    whole = workers(Landscape())
+    assert cli.main(words) == 0
+    expected, best = table(tmp_path / "o"), tuned(tmp_path / "o")
+    (tmp_path / "o").rename(tmp_path / "whole")
+    ran = []
+    for _ in range(20):
+        pieces = workers(Landscape(fails_after=7))
+        status = cli.main(words)
+        ran += pieces.cells
+        if status == 0:
+            break
+        assert status == 130
+        assert "o keeps what is finished, the same command goes on" in capsys.readouterr().err
+    assert Counter(ran) == Counter(whole.cells)
+    pd.testing.assert_frame_equal(table(tmp_path / "o"), expected)
+    assert tuned(tmp_path / "o") == best
+
+
+def test_halving_runs_fewer_cells_and_tells_of_all(workers, tmp_path, capsys):
+    landscape = workers(Landscape())
+    assert cli.main([*WORDS, *SEARCH, "--trials", "8", "--rungs", "1x2", "--eta", "4"]) == 0
+    searched = [cell for cell in landscape.cells if cell.seed < 2]
+    assert sorted({(cell.seed, cell.episodes) for cell in searched}) == [(0, 2), (0, 3), (1, 3)]
+    assert len(searched) == 8 + 2 * 2
+    assert len(table(tmp_path / "o")) == 2
+    assert "6 more trials were given up" in (tmp_path / "o" / "tune.html").read_text()
+
+
+def test_a_front(workers, tmp_path, capsys):
+    words = [*WORDS, *SEARCH, "--trials", "8", "--objective", "area,corrections"]
+    assert cli.main(words) == 0
+    found = table(tmp_path / "o")
+    on = found[found["front"]]
+    assert found["front"].iloc[0] and 1 <= len(on) < len(found)
+    for _, each in found.iterrows():
+        better = found[(found["area"] >= each["area"]) & (found["corrections"] <= each["corrections"])]
+        beaten = ((better["area"] > each["area"]) | (better["corrections"] < each["corrections"])).any()
+        assert each["front"] == (not beaten)
+
+
+def test_a_grid_has_all_points(workers, tmp_path, capsys):
+    words = [*WORDS[:-4], "--out", "o", "--method", "grid", "--search", "policy_length_scale=0.25,0.5,1"]
+    assert cli.main([*words, "--search", "human_length_scale=1,2"]) == 0
+    found = table(tmp_path / "o")
+    assert len(found) == 6
+    assert dict(found.iloc[0][["policy_length_scale", "human_length_scale"]]) == {
+        "policy_length_scale": 0.5,
+        "human_length_scale": 2.0,
+    }
+
+
+def test_settings_of_a_file(workers, tmp_path, capsys):
+    (tmp_path / "a.toml").write_text(
+        'env = "cartpole"\nseeds = 2\nepisodes = 3\n[tune]\ntrials = 4\ncheck-seeds = "100-102"\nbatch = 2\n'
+        '[tune.search]\npolicy_length_scale = "0.01:100"\nhuman_length_scale = [0.5, 2]\n'
+    )
+    assert cli.main(["tune", "a.toml", "--trials", "2", "--out", "o", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["event"] == "tuned" and set(lines[-1]["best"]) == {
+        "policy_length_scale",
+        "human_length_scale",
+    }
+    assert {line["event"] for line in lines} == {"begin", "progress", "end", "tuned"} - {"progress"}
+    assert len(table(tmp_path / "o")) == 2
+
+
+def test_what_is_refused_before_anything_runs(workers, tmp_path, capsys):
+    landscape = workers(Landscape())
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    (tmp_path / "a.toml").write_text('env = "cartpole"\n[tune]\ntrial = 4\n')
+    cases = {
+        (): "no search: give --search NAME=LOW:HIGH",
+        ("--search", "beta=1:2"): "--search: point 1: beta is no setting of points",
+        (
+            "--search",
+            "policy_length_scale=-1:2",
+        ): "--search: point 1: policy_length_scale -1.0: give a number above 0",
+        ("--search", "policy_nu=0.5:2"): "policy_nu 2.0: give 0.5, 1.5 or 2.5",
+        (*SEARCH, "--policy-length-scale", "1"): "it is a setting of the points, too",
+        (
+            *SEARCH,
+            "--policy-variance",
+            "1,2",
+        ): "--policy-variance: give one value, or --search policy_variance=A,B",
+        (*SEARCH, "--algo", "gpc,coach"): "give one learner",
+        (*SEARCH, "--check-seeds", "1-3"): "--check-seeds 1-3: seed 1 has a part in the search",
+        (*SEARCH, "--rungs", "3"): "there are 2 seeds and 3 episodes",
+        (*SEARCH, "--method", "grid"): "--batch: with --method grid it changes nothing",
+        (*SEARCH, "--objective", "x"): "--objective 'x': give area,",
+        (*SEARCH, "--trials", "0"): "--trials 0: give a whole number",
+        (*SEARCH, "--keep", "states"): "--keep: a search has none",
+        (*SEARCH, "--out", "full"): "full: this is no folder of a search, and it is not empty",
+        ("a.toml", *SEARCH): "a.toml: [tune] trial is no setting of a search",
+    }
+    for words, message in cases.items():
+        given = (
+            [word for word in WORDS if word not in ("--check-seeds", "100-102")]
+            if "--check-seeds" in words
+            else WORDS
+        )
+        given = [word for word in given if word not in ("--out", "o")] if "--out" in words else given
+        assert cli.main([*given, *words]) == 2, words
+        assert message in capsys.readouterr().err
+    assert not landscape.cells and not (tmp_path / "o").exists()
+
+
+def test_a_folder_holds_one_search(workers, tmp_path, capsys):
+    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 0
+    assert cli.main([*WORDS, *SEARCH, "--trials", "4"]) == 0  # more of the same
+    assert len(table(tmp_path / "o")) == 4
+    capsys.readouterr()
+    assert cli.main([*WORDS, *SEARCH, "--trials", "4", "--objective", "final_return"]) == 2
+    assert "o: it holds another search (objectives ['area'], not ['final_return'])" in capsys.readouterr().err
+
+
+def test_without_optuna_it_is_one_line(workers, capsys, monkeypatch):
+    find = carrying_out.__spec__.loader and __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "optuna" else find(name))
+    assert cli.main([*WORDS, *SEARCH]) == 2
+    assert "--method tpe needs Optuna: pip install 'gpcjax[tune]'" in capsys.readouterr().err
+
+
+def test_checking_needs_the_standard_library_alone():
+    """As `make tune` checks before there is a .venv: no numpy, no optuna."""
+    code = (
+        "import sys\nfrom gpcjax import cli\n"
+        f"assert cli.main({[*WORDS, *SEARCH, '--dry-run']!r}) == 0\n"
+        "assert not {'numpy', 'jax', 'optuna', 'pandas'} & set(sys.modules), 'too much'"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (
+        done.stdout
+        == "100 trials: 200 cells of cartpole, then 6 to judge, in 2 processes, into o\n".replace(
+            "in 2 processes", f"in {cli.usable_cores()} processes"
+        )
+    )
+
+
+def test_the_page_of_the_docs(workers, tmp_path, capsys):
+    """docs/tuning.md: its commands run as they stand, its files of settings are understood."""
+    text = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
+    workers(Landscape())
+    tomls = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert len(tomls) == 2
+    for number, toml in enumerate(tomls):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(toml)
+        assert cli.main(["tune" if "[tune]" in toml else "sweep", str(path), "--dry-run"]) == 0
+    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    search, further = commands.replace("\\\n", "").splitlines()
+    program, *words = shlex.split(search)
+    assert program == "gpcjax" and cli.main(words) == 0
+    assert cli.main([*shlex.split(further)[1:], "--dry-run"]) == 0
+    for name in re.findall(
+        r"^\| `([^`]+)`", text[text.index("## What it leaves") : text.index("## Points of")], re.MULTILINE
+    ):
+        if "rung" not in name:
+            assert (tmp_path / "runs" / "tuned" / name).exists()
