@@ -127,7 +127,7 @@ def by_likelihood(
         folder: a run folder with kept states (`--keep states`); of each run the last one counts.
         out: where the file goes; it is made if need be.
         algo: gpc or gpc-ns; may be left out if the folder has runs of one learner.
-        where: columns and the values that are wanted, as `gpcjax.load_states` takes them.
+        where: columns of the runs, and the value that is wanted of each.
         models: which are fitted: "policy", "human".
         take: what of it becomes settings, of `TAKEN`.
         ard: a length-scale for each input, or one for all, beside the factors that the runs had.
