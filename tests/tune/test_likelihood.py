@@ -97,7 +97,7 @@ def fits(monkeypatch):
 
 
 def test_the_file_is_a_sweep_of_the_folder_with_them_and_other_seeds(folder, tmp_path, fits):
-    found = by_likelihood(folder, tmp_path / "out", algo="gpc")
+    found = by_likelihood(folder, tmp_path / "out", algo="gpc", take=likelihood.TAKEN)
     spec = make_spec(read_toml(found.best))
     assert spec == found.spec
     assert found.usual == dataclasses.replace(spec, hyperparameters={}, scaling=(), human_scaling=())
