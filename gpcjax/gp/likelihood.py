@@ -79,15 +79,16 @@ def log_likelihood(
     `numbers` are variance, length-scales (one for each input, or one for all) and noise. NaN if K + noise I is singular
     to rounding; 0 without points.
     """
+    points, targets = jnp.where(active[:, None], points, 0.0), jnp.where(active, targets, 0.0)
     kernel = Kernel(numbers[0], jnp.ones(()), smoothness)
     scale = kernel.inverse_length / jnp.broadcast_to(numbers[1:-1], points.shape[1:])
     squared = sum_of_squares(column[:, None] - column[None] for column in (points * scale[None]).T)
     # A root has no slope at 0, where the correlation is 1 whatever the length-scale.
-    apart = (squared > 0) & active[:, None] & active[None]
-    gram = kernel.variance * jnp.where(apart, correlation(jnp.where(apart, squared, 1.0), smoothness), 1.0)
     both = active[:, None] & active[None]
+    apart = (squared > 0) & both
+    gram = kernel.variance * jnp.where(apart, correlation(jnp.where(apart, squared, 1.0), smoothness), 1.0)
     diagonal = jnp.diag(jnp.where(active, numbers[-1], 1.0))
-    return _density(jnp.where(both, gram, 0.0) + diagonal, jnp.where(active, targets, 0.0), active)
+    return _density(jnp.where(both, gram, 0.0) + diagonal, targets, active)
 
 
 @jax.custom_vjp
@@ -124,8 +125,8 @@ _density.defvjp(_density_and_weights, _slope_of_density)
 def fit_dictionaries(
     data: Dictionaries,
     smoothness: float,
-    bounds: Float[np.ndarray, "numbers 2"],
-    starts: Float[np.ndarray, "starts numbers"],
+    bounds: Float[np.ndarray, "..."],
+    starts: Float[np.ndarray, "..."],
     shared: bool = True,
 ) -> Optima:
     """Variance, length-scales and noise of largest marginal likelihood, by L-BFGS from each of `starts`.
@@ -133,8 +134,9 @@ def fit_dictionaries(
     Args:
         data: what is to be explained.
         smoothness: of the kernel, one of `gpcjax.gp.kernels.SMOOTHNESSES`; it is not fitted.
-        bounds: least and largest variance, length-scales (one for each input, or a single one for all) and noise.
-        starts: where to climb from, in the same order.
+        bounds: (numbers, 2), least and largest variance, length-scales (one for each input, or a single one for all)
+            and noise.
+        starts: (starts, numbers), where to climb from, in the same order.
         shared: the same hyperparameters for all runs; otherwise those of each.
 
     Raises:

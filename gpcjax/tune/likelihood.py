@@ -114,7 +114,7 @@ def by_likelihood(
     algo: str | None = None,
     where: Mapping[str, Any] | None = None,
     models: Collection[Model] = MODELS,
-    take: Collection[str] = TAKEN,
+    take: Collection[str] = TAKEN[:1],
     ard: bool = True,
     starts: int = 4,
     points: int = 256,
@@ -127,9 +127,10 @@ def by_likelihood(
         folder: a run folder with kept states (`--keep states`); of each run the last one counts.
         out: where the file goes; it is made if need be.
         algo: gpc or gpc-ns; may be left out if the folder has runs of one learner.
-        where: columns and the values that are wanted, as `gpcjax.load_states` takes them.
+        where: columns of the runs, and the value that is wanted of each.
         models: which are fitted: "policy", "human".
-        take: what of it becomes settings, of `TAKEN`.
+        take: what of it becomes settings, of `TAKEN`; by default length-scales alone, as variances and noises are
+            learning rates too (3.5), and those that explain best teach badly (docs/tuning.md).
         ard: a length-scale for each input, or one for all, beside the factors that the runs had.
         starts: from how many sets of numbers the likelihood is climbed.
         points: how many points of a dictionary count; of a larger one as many at random.

@@ -29,11 +29,15 @@ def kernel(x: Array, y: Array, variance: float, length_scale: float, nu: float) 
 
 
 class DenseGP:
-    """Zero-mean Gaussian process regression on inputs that are multiplied by `scale` before the kernel."""
+    """Zero-mean Gaussian process regression on inputs that are multiplied by `scale` before the kernel.
 
-    def __init__(self, scale: Array, variance: float, length_scale: float, nu: float, noise: float):
-        self.scale, self.hyper, self.noise = scale, (variance, length_scale, nu), noise
-        self.inputs, self.targets = np.zeros((0, len(scale))), np.zeros(0)
+    That is `weights`, and once it is normalised, `weights` over the deviations.
+    """
+
+    def __init__(self, weights: Array, variance: float, length_scale: float, nu: float, noise: float):
+        self.weights = self.scale = weights
+        self.hyper, self.noise = (variance, length_scale, nu), noise
+        self.inputs, self.targets = np.zeros((0, len(weights))), np.zeros(0)
 
     def covariance(self, x: Array) -> Array:
         """k(x_i, x) for every point of the dictionary, shape (n,)."""
@@ -64,7 +68,7 @@ class DenseGP:
     def normalise(self) -> None:
         """M_ns: one over each column's standard deviation (ddof 0), or one where that is under 1e-6."""
         deviation = self.inputs.std(axis=0)
-        self.scale = 1 / np.where(deviation < 1e-6, 1.0, deviation)
+        self.scale = self.weights / np.where(deviation < 1e-6, 1.0, deviation)
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def _blank(size: int) -> Info:
 
 
 class DenseGPC:
-    """GPC (normalise=False: the state is scaled by `weights`) and GPC-NS (normalise=True): Alg. 2 and 3."""
+    """GPC (the state is scaled by `weights`) and GPC-NS (`normalise`; scaled by them after that): Alg. 2 and 3."""
 
     def __init__(
         self,
@@ -98,16 +102,21 @@ class DenseGPC:
         human_nu: float = math.inf,
         constant_rate: float,  # c_r
         static_rate: float | None = None,  # r_c, in place of the adaptive rate (3.5)
-        weights: Sequence[float] | None = None,  # w; GPC only
+        weights: Sequence[float] | None = None,  # w
+        human_weights: Sequence[float] | None = None,  # of the state and the action; None is w and 1
         normalise: bool = False,
         sparsify: bool = True,
         noise: float = 1e-7,
+        human_noise: float | None = None,
     ):
-        w = np.ones(obs_size) if weights is None or normalise else np.asarray(weights, dtype=float)
+        w = np.ones(obs_size) if weights is None else np.asarray(weights, dtype=float)
+        pair = np.append(w, 1.0) if human_weights is None else np.asarray(human_weights, dtype=float)
         p = policy_variance, policy_length_scale, policy_nu
         h = human_variance, human_length_scale, human_nu
         self.policies = [DenseGP(w, *p, noise) for _ in range(action_size)]
-        self.humans = [DenseGP(np.append(w, 1.0), *h, noise) for _ in range(action_size)]
+        self.humans = [
+            DenseGP(pair, *h, noise if human_noise is None else human_noise) for _ in range(action_size)
+        ]
         self.constant_rate, self.static_rate = constant_rate, static_rate
         self.normalise, self.sparsify, self.threshold = normalise, sparsify, 0.5 * math.sqrt(policy_variance)
 
