@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 from gpcjax import cli
-from gpcjax.cli_options import parse_words, settings
+from gpcjax.cli.words import parse_words, settings
 from gpcjax.sweep.spec import make_spec
 
 ROOT = Path(__file__).parents[2]

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from gpcjax import cli
+from gpcjax.cli.words import parse_words, settings
 from gpcjax.report.figures import style
 from gpcjax.sweep.spec import make_spec, read_toml
 from gpcjax.tune import carrying_out
@@ -231,7 +232,9 @@ def test_the_page_of_the_docs(workers, tmp_path, capsys):
         path = tmp_path / f"{number}.toml"
         path.write_text(toml)
         assert cli.main(["tune" if "[tune]" in toml else "sweep", str(path), "--dry-run"]) == 0
-    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    commands, likely = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    for line in likely.splitlines():  # which takes minutes: tests/tune/test_likelihood.py has a smaller one
+        settings(parse_words(shlex.split(line)[1:]))
     search, further = commands.replace("\\\n", "").splitlines()
     program, *words = shlex.split(search)
     assert program == "gpcjax" and cli.main(words) == 0

@@ -264,11 +264,11 @@ class Actor:
 
     def close(self) -> None:
         """Ends the process, and this one."""
-        import ray
+        from ray.actor import exit_actor
 
         if self._remote is not None:
             self._remote.close()
-        ray.actor.exit_actor()
+        exit_actor()
 
 
 def _reason(error: Exception) -> str:
