@@ -130,7 +130,7 @@ def by_likelihood(
         where: columns of the runs, and the value that is wanted of each.
         models: which are fitted: "policy", "human".
         take: what of it becomes settings, of `TAKEN`; by default length-scales alone, as variances and noises are
-            learning rates too (3.5), and those that explain best teach badly (docs/tuning.md).
+            learning rates too (3.5), and with those that explain best GPC learns badly (docs/tuning.md).
         ard: a length-scale for each input, or one for all, beside the factors that the runs had.
         starts: from how many sets of numbers the likelihood is climbed.
         points: how many points of a dictionary count; of a larger one as many at random.
