@@ -11,9 +11,11 @@ import hypothesis
 import jax
 import pytest
 import threadpoolctl
+from jax._src import compiler
 from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
+from gpcjax.sweep.environment import xla_options
 
 pytest_plugins = ["tests.tiers"]
 
@@ -68,6 +70,7 @@ longer; programs that are compiled ahead, as a pool's, are never looked at.
 COMPILED_PLAINLY = (
     "engine/test_evaluate.py",
     "engine/test_host.py",
+    "engine/test_keeping.py",
     "engine/test_late.py",
     "engine/test_rollout.py",
     "engine/test_schedule.py",
@@ -84,6 +87,7 @@ COMPILED_PLAINLY = (
     "gp/test_fit.py",
     "gp/test_kernels.py",
     "gp/test_regression.py",
+    "learners/test_calls.py",
     "learners/test_carried.py",
     "learners/test_coach.py",
     "learners/test_dcoach.py",
@@ -96,6 +100,7 @@ COMPILED_PLAINLY = (
     "sweep/test_sweeps.py",
     "teachers/",
     "test_extending.py",
+    "test_foreign.py",
     "test_pickle.py",
     "test_public.py",
     "test_readme.py",
@@ -155,23 +160,34 @@ def compiled_programs(tmp_path_factory):
 def settings_of_jax(request):
     """Those that this module needs."""
     name = request.node.nodeid.removeprefix("tests/")
-    settings = {
-        "jax_debug_key_reuse": name.startswith(DRAWING),
-        "jax_disable_most_optimizations": name.startswith(COMPILED_PLAINLY),
-    }
-    for setting, value in settings.items():
-        jax.config.update(setting, value)
-    yield
-    for setting in settings:
-        jax.config.update(setting, False)
+    jax.config.update("jax_debug_key_reuse", name.startswith(DRAWING))
+    with _compiled(plainly=name.startswith(COMPILED_PLAINLY)):
+        yield
+    jax.config.update("jax_debug_key_reuse", False)
 
 
 @contextlib.contextmanager
 def _compiled(plainly):
+    """With or without `QUICKLY` until the end."""
     before = jax.config.values["jax_disable_most_optimizations"]
     jax.config.update("jax_disable_most_optimizations", plainly)
     yield
     jax.config.update("jax_disable_most_optimizations", before)
+
+
+QUICKLY = {"xla_cpu_use_fusion_emitters": False} if xla_options() else {}
+"""What XLA is told beside, where its version is one that knows it: its older emitter needs two fifths of the time."""
+
+_options_of = compiler.get_compile_options
+
+
+def _options_as_wanted(*given, env_options_overrides=None, **named):
+    """jax has a setting for the other options of `jax_disable_most_optimizations`, and none for these."""
+    wanted = QUICKLY if jax.config.values["jax_disable_most_optimizations"] else {}
+    return _options_of(*given, env_options_overrides={**wanted, **(env_options_overrides or {})}, **named)
+
+
+compiler.get_compile_options = _options_as_wanted
 
 
 @pytest.fixture
