@@ -72,9 +72,11 @@ COMPILED_PLAINLY = (
     "engine/test_host.py",
     "engine/test_keeping.py",
     "engine/test_late.py",
+    "engine/test_planner.py",
     "engine/test_rollout.py",
     "engine/test_schedule.py",
     "engine/test_session.py",
+    "engine/test_taught.py",
     "envs/test_brax",
     "envs/test_cartpole.py",
     "envs/test_env_registry.py",
@@ -93,11 +95,17 @@ COMPILED_PLAINLY = (
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
     "learners/test_parity.py",
+    "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "sweep/test_executables.py",
+    "sweep/test_lander.py",
     "sweep/test_ppo.py",
     "sweep/test_schedule.py",
+    "sweep/test_start.py",
     "sweep/test_sweeps.py",
+    "teach/test_lesson.py",
+    "teach/test_taught.py",
     "teachers/",
     "test_extending.py",
     "test_foreign.py",
@@ -112,25 +120,39 @@ one program. It compiles in three quarters of the time. Others look at programs,
 
 LONGEST = (
     "teach/test_browser.py",
-    "test_extending.py",
     "sweep/test_sweeps.py",
-    "test_readme.py",
-    "golden/test_golden.py",
-    "engine/test_rollout.py",
-    "engine/test_late.py",
+    "engine/test_keeping.py",
     "learners/test_gpc.py",
-    "learners/test_parity.py",
-    "engine/test_cost.py",
     "engine/test_host.py",
     "engine/test_pool.py",
-    "engine/test_host_pool.py",
-    "reproduce/test_real.py",
-    "test_foreign.py",
-    "sweep/test_inprocess.py",
-    "report/test_run.py",
-    "gp/test_regression.py",
-    "reproduce/test_illustrations.py",
+    "learners/test_parity.py",
     "engine/test_session.py",
+    "engine/test_cost.py",
+    "reproduce/test_claims.py",
+    "learners/test_carried.py",
+    "engine/test_evaluate.py",
+    "reproduce/test_illustrations.py",
+    "sweep/test_executables.py",
+    "learners/test_saved.py",
+    "reproduce/test_run.py",
+    "learners/test_calls.py",
+    "gp/test_regression.py",
+    "test_foreign.py",
+    "gp/test_factor.py",
+    "gp/test_fit.py",
+    "report/test_compare.py",
+    "engine/test_host_pool.py",
+    "report/test_run.py",
+    "sweep/test_start.py",
+    "test_extending.py",
+    "teach/test_from.py",
+    "teach/test_lesson.py",
+    "teach/test_taught.py",
+    "engine/test_late.py",
+    "engine/test_rollout.py",
+    "sweep/test_inprocess.py",
+    "test_readme.py",
+    "test_stopping.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""
 
@@ -170,9 +192,16 @@ def settings_of_jax(request):
 def _compiled(plainly):
     """With or without `QUICKLY` until the end."""
     before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", plainly)
+    _compile(plainly)
     yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    _compile(before)
+
+
+def _compile(plainly):
+    """From now on; what was compiled otherwise is forgotten."""
+    if plainly != jax.config.values["jax_disable_most_optimizations"]:
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", plainly)
 
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False} if xla_options() else {}
