@@ -115,7 +115,7 @@ COMPILED_PLAINLY = (
     "test_settings.py",
 )
 """Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about the bits of
-one program. It compiles in three quarters of the time. Others look at programs, compare bits of several, or loop long.
+one program. It compiles in half of the time. Others look at programs, compare bits of several, or loop long.
 """
 
 LONGEST = (
@@ -222,6 +222,13 @@ compiler.get_compile_options = _options_as_wanted
 @pytest.fixture
 def compiled_as_shipped():
     """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
+    with _compiled(plainly=False):
+        yield
+
+
+@pytest.fixture(scope="class")
+def class_compiled_as_shipped():
+    """The same for all tests of a class, and for what they share."""
     with _compiled(plainly=False):
         yield
 
