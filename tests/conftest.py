@@ -11,9 +11,11 @@ import hypothesis
 import jax
 import pytest
 import threadpoolctl
+from jax._src import compiler
 from jaxtyping import install_import_hook
 
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
+from gpcjax.sweep.environment import xla_options
 
 pytest_plugins = ["tests.tiers"]
 
@@ -68,10 +70,13 @@ longer; programs that are compiled ahead, as a pool's, are never looked at.
 COMPILED_PLAINLY = (
     "engine/test_evaluate.py",
     "engine/test_host.py",
+    "engine/test_keeping.py",
     "engine/test_late.py",
+    "engine/test_planner.py",
     "engine/test_rollout.py",
     "engine/test_schedule.py",
     "engine/test_session.py",
+    "engine/test_taught.py",
     "envs/test_brax",
     "envs/test_cartpole.py",
     "envs/test_env_registry.py",
@@ -84,48 +89,70 @@ COMPILED_PLAINLY = (
     "gp/test_fit.py",
     "gp/test_kernels.py",
     "gp/test_regression.py",
+    "learners/test_calls.py",
     "learners/test_carried.py",
     "learners/test_coach.py",
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
     "learners/test_parity.py",
+    "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "sweep/test_executables.py",
+    "sweep/test_lander.py",
     "sweep/test_ppo.py",
     "sweep/test_schedule.py",
+    "sweep/test_start.py",
     "sweep/test_sweeps.py",
+    "teach/test_lesson.py",
+    "teach/test_taught.py",
     "teachers/",
     "test_extending.py",
+    "test_foreign.py",
     "test_pickle.py",
     "test_public.py",
     "test_readme.py",
     "test_settings.py",
 )
 """Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about the bits of
-one program. It compiles in three quarters of the time. Others look at programs, compare bits of several, or loop long.
+one program. It compiles in half of the time. Others look at programs, compare bits of several, or loop long.
 """
 
 LONGEST = (
     "teach/test_browser.py",
-    "test_extending.py",
     "sweep/test_sweeps.py",
-    "test_readme.py",
-    "golden/test_golden.py",
-    "engine/test_rollout.py",
-    "engine/test_late.py",
+    "engine/test_keeping.py",
     "learners/test_gpc.py",
-    "learners/test_parity.py",
-    "engine/test_cost.py",
     "engine/test_host.py",
     "engine/test_pool.py",
-    "engine/test_host_pool.py",
-    "reproduce/test_real.py",
-    "test_foreign.py",
-    "sweep/test_inprocess.py",
-    "report/test_run.py",
-    "gp/test_regression.py",
-    "reproduce/test_illustrations.py",
+    "learners/test_parity.py",
     "engine/test_session.py",
+    "engine/test_cost.py",
+    "reproduce/test_claims.py",
+    "learners/test_carried.py",
+    "engine/test_evaluate.py",
+    "reproduce/test_illustrations.py",
+    "sweep/test_executables.py",
+    "learners/test_saved.py",
+    "reproduce/test_run.py",
+    "learners/test_calls.py",
+    "gp/test_regression.py",
+    "test_foreign.py",
+    "gp/test_factor.py",
+    "gp/test_fit.py",
+    "report/test_compare.py",
+    "engine/test_host_pool.py",
+    "report/test_run.py",
+    "sweep/test_start.py",
+    "test_extending.py",
+    "teach/test_from.py",
+    "teach/test_lesson.py",
+    "teach/test_taught.py",
+    "engine/test_late.py",
+    "engine/test_rollout.py",
+    "sweep/test_inprocess.py",
+    "test_readme.py",
+    "test_stopping.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""
 
@@ -155,28 +182,53 @@ def compiled_programs(tmp_path_factory):
 def settings_of_jax(request):
     """Those that this module needs."""
     name = request.node.nodeid.removeprefix("tests/")
-    settings = {
-        "jax_debug_key_reuse": name.startswith(DRAWING),
-        "jax_disable_most_optimizations": name.startswith(COMPILED_PLAINLY),
-    }
-    for setting, value in settings.items():
-        jax.config.update(setting, value)
-    yield
-    for setting in settings:
-        jax.config.update(setting, False)
+    jax.config.update("jax_debug_key_reuse", name.startswith(DRAWING))
+    with _compiled(plainly=name.startswith(COMPILED_PLAINLY)):
+        yield
+    jax.config.update("jax_debug_key_reuse", False)
 
 
 @contextlib.contextmanager
 def _compiled(plainly):
+    """With or without `QUICKLY` until the end."""
     before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", plainly)
+    _compile(plainly)
     yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    _compile(before)
+
+
+def _compile(plainly):
+    """From now on; what was compiled otherwise is forgotten."""
+    if plainly != jax.config.values["jax_disable_most_optimizations"]:
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", plainly)
+
+
+QUICKLY = {"xla_cpu_use_fusion_emitters": False} if xla_options() else {}
+"""What XLA is told beside, where its version is one that knows it: its older emitter needs two fifths of the time."""
+
+_options_of = compiler.get_compile_options
+
+
+def _options_as_wanted(*given, env_options_overrides=None, **named):
+    """jax has a setting for the other options of `jax_disable_most_optimizations`, and none for these."""
+    wanted = QUICKLY if jax.config.values["jax_disable_most_optimizations"] else {}
+    return _options_of(*given, env_options_overrides={**wanted, **(env_options_overrides or {})}, **named)
+
+
+compiler.get_compile_options = _options_as_wanted
 
 
 @pytest.fixture
 def compiled_as_shipped():
     """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
+    with _compiled(plainly=False):
+        yield
+
+
+@pytest.fixture(scope="class")
+def class_compiled_as_shipped():
+    """The same for all tests of a class, and for what they share."""
     with _compiled(plainly=False):
         yield
 

@@ -33,9 +33,10 @@ def ran(tmp_path):
 
     def run(*words):
         ours = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "PYTEST_ADDOPTS": ""}
+        ours["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # some load jax
         ours.pop("PYTEST_XDIST_WORKER", None)
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "tests.tiers", "-v", *words],
+            [sys.executable, "-m", "pytest", "-p", "xdist", "-p", "tests.tiers", "-v", *words],
             cwd=tmp_path,
             env=ours,
             capture_output=True,

@@ -55,6 +55,8 @@ def short_chunks():
 def pool(request, short_chunks):
     """For the task, the learner and the tiers of the class."""
     case = request.cls
+    if case.as_shipped:
+        request.getfixturevalue("class_compiled_as_shipped")
     return make_pool(case.env, case.starts()[0], case.tiers, EPISODES)
 
 
@@ -73,7 +75,7 @@ def observed(request, pool):
 class GoesOn:
     """What holds of any task, learner and teacher; each case has a class, whose pools are compiled once."""
 
-    env, tiers = Drift(), (SMALL, LARGE)
+    env, tiers, as_shipped = Drift(), (SMALL, LARGE), False
 
     @staticmethod
     def starts():
@@ -189,6 +191,13 @@ class TestGPC(GoesOn):
         promoted = pool.counters.promotions
         self.agrees(self.go_on(pool, stuck[0]), lanes)
         assert pool.counters.promotions == promoted, "it was counted when it left"
+
+
+@pytest.mark.slow
+class TestGPCAsShipped(TestGPC):
+    """Also where XLA does its best."""
+
+    as_shipped = True
 
 
 class TestLateOnHost(GoesOn):

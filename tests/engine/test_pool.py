@@ -24,7 +24,7 @@ def assert_the_same_runs(got, expected):
 
 
 class Bits:
-    """What holds for each learner. Each has a class, which xdist keeps together: its blocks are compiled once."""
+    """What holds for each learner. Each has a class, whose blocks are compiled once."""
 
     algo: str
     env: Env | HostEnv = Drift()

@@ -6,17 +6,18 @@ import jax
 import numpy as np
 import pytest
 
-from gpcjax.engine.pool import Tier
 from tests.engine.tasks import Drift, learner, make_pool, oracle, plain, run, start
+from tests.engine.test_keeping import EPISODES, LARGE, SMALL
 from tests.trees import assert_same_bits
 
-TIERS = (Tier(4, 4, 8), Tier(64, 64, 8))
+TIERS = SMALL, LARGE
+"""As there, and as many episodes: the same programs, which XLA has compiled then."""
 
 
 def test_a_run_begins_with_its_state_in_the_tier_that_fits():
     gpc = learner("gpc")
     begun = [start(seed, gpc, oracle(rate=0.5), seed) for seed in range(2)]
-    pool = make_pool(Drift(), begun[0], TIERS, 2)
+    pool = make_pool(Drift(), begun[0], TIERS, EPISODES)
     lanes = run(pool, begun)
     small = dataclasses.replace(start("small", gpc, oracle(rate=0.5), 5), state=host(gpc.init()))
     silent = start("silent", gpc, oracle(rate=0.0), 3)
@@ -25,7 +26,7 @@ def test_a_run_begins_with_its_state_in_the_tier_that_fits():
     again = run(pool, [taught, small, *begun])
     assert_same_bits(again["silent"].state, lanes[0].state)
     assert again["silent"].rows.corrections.sum() == 0
-    untaught = plain(Drift(), silent, TIERS[-1], 2)
+    untaught = plain(Drift(), silent, TIERS[-1], EPISODES)
     assert (again["silent"].rows.returns != untaught.rows["returns"]).all()
     # An empty state is no state, to the bit; and what is beside them changes nothing for the others.
     expected = run(pool, [dataclasses.replace(small, state=None)])["small"]

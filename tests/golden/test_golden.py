@@ -17,14 +17,10 @@ def test_every_learner_is_kept_on_every_task(case):
     assert rows["algo"].unique().tolist() == ["gpc", "gpc-ns", "coach"]
 
 
-@pytest.mark.parametrize(
-    ("case", "fewer"),
-    [
-        ("full", {"algo": "gpc", "seeds": 2}),  # whose dictionaries do not grow: one program
-        pytest.param("schedule", {}, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "fewer"), [("full", {"algo": "gpc", "seeds": 2}), ("schedule", {})])
 def test_rows_keep_their_bits(tmp_path, case, fewer):
+    """As those of `swept` do, in tests/sweep/test_sweeps.py, of which `full` has another teacher and capacity."""
     different = list(check(case, tmp_path, jobs=1, **fewer))
     if other := incomparable(tmp_path / case):
         pytest.skip(f"the kept rows were made with another {other}")

@@ -95,7 +95,7 @@ def test_what_was_not_packed_is_refused():
 
 
 @pytest.mark.slow
-def test_in_a_fresh_process_too(tmp_path):
+def test_in_a_fresh_process_too(tmp_path, compiled_as_shipped):
     learner = learner_of("gpc-ns")
     state = teach(learner, learner.init(), 0, 3)
     gpcjax.save_learner(tmp_path / "saved", learner, state)

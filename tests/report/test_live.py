@@ -14,6 +14,7 @@ from gpcjax.report.run import draw
 from tests.report import synthetic
 
 PATIENCE = 120.0
+pytestmark = pytest.mark.usefixtures("figures_unpainted")
 
 
 @pytest.fixture

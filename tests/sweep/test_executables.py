@@ -11,12 +11,12 @@ import pytest
 
 from gpcjax import make_env, make_expert, make_learner, make_oracle
 from gpcjax.engine.lanes import Start
-from gpcjax.engine.pool import Finished, Pool
+from gpcjax.engine.pool import Finished, Pool, Tier
 from gpcjax.sweep import executables
-from gpcjax.sweep.build import WIDE
 from gpcjax.sweep.executables import Executables
 
 KEY = "0" * 32
+NARROW = Tier(1, 1, 8)
 
 
 def lowered(factor=2):
@@ -163,7 +163,7 @@ def coach(episodes, kept=None):
     start = Start(
         0, *jax.tree.map(np.asarray, (learner, make_oracle("cartpole", "lqr", rate=0.2).oracle)), seed=3
     )
-    pool = Pool(make_env("cartpole"), make_expert("cartpole", "lqr"), episodes, start, (WIDE,), kept=kept)
+    pool = Pool(make_env("cartpole"), make_expert("cartpole", "lqr"), episodes, start, (NARROW,), kept=kept)
     return pool, start
 
 

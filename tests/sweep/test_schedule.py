@@ -98,10 +98,15 @@ class TestOfferedRates:
             offered_rates(tmp_path)
 
 
-@pytest.fixture(scope="module")
-def active(tmp_path_factory, workers_in_process, figures_unpainted):
+@pytest.fixture(scope="module", params=["made up", pytest.param("swept", marks=pytest.mark.slow)])
+def active(request, tmp_path_factory, workers_in_process, figures_unpainted):
     """A finished sweep whose teacher learned actively."""
     out = tmp_path_factory.mktemp("active") / "out"
+    if request.param == "made up":
+        frame = synthetic.episodes(algos=("gpc",), errors=(0.1,), seeds=3, length=3)
+        frame["chance"] = 0.3 / frame["episode"] + 0.01 * frame["seed"] + 0.05
+        rows = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=3).iloc[:0]
+        return synthetic.write(out, frame, rows, synthetic.manifest(frame))
     assert cli.main([*ACTIVE.split(), f"--out={out}"]) == 0
     return out
 

@@ -160,7 +160,7 @@ def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path):
+def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path, compiled_as_shipped):
     settings = SETTINGS | {"episodes": 12, "keep": "states", "start": str(source)}
     reference = sweep(tmp_path / "reference", executor=InProcess(), checkpoint=0, **settings)
     out = killed_under_way(tmp_path, settings)

@@ -26,22 +26,15 @@ from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
+from tests.golden import CASES, differences, incomparable
 from tests.sweep.processes import alive, workers_of
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = {
-    "env": "cartpole",
-    "algo": ["gpc", "gpc-ns", "coach"],
-    "error": [0.0, 0.2],
-    "seeds": 2,
-    "episodes": 3,
-    "oracle": "lqr",
-    "rate": 0.2,
-}
-COACH = SETTINGS | {"algo": "coach"}
-SETTINGS |= {"max_capacity": 48, "on_full": "replace-nearest"}
+TWO = CASES["swept"]
 """With dictionaries that do not grow: a program of each learner is enough."""
-TWO = SETTINGS | {"algo": ["gpc", "coach"]}
+SETTINGS = TWO | {"algo": ["gpc", "gpc-ns", "coach"]}
+COACH = {name: value for name, value in TWO.items() if name not in ("max_capacity", "on_full")}
+COACH |= {"algo": "coach"}
 KEYS = ["algo", "error", "seed", "episode"]
 GOLDEN = {
     "gpc": {
@@ -217,6 +210,13 @@ def test_golden_run(reference):
         assert first["step"].tolist() == golden["steps"]
         np.testing.assert_allclose(first["rate"], golden["rates"], rtol=1e-7)
         assert frame.query(query)["length"].iloc[0] == golden["length"]
+
+
+def test_rows_keep_their_bits(two_learners):
+    """Those that tests/golden keeps, to the last: where the machine is of the kind that made them."""
+    if other := incomparable(two_learners):
+        pytest.skip(f"the kept rows were made with another {other}")
+    assert not list(differences(two_learners, "swept"))
 
 
 def test_the_manifest(reference):

@@ -182,7 +182,7 @@ def test_map(held):
     assert all(drawn["y"] != 9 for drawn in held.messages("map"))
 
 
-def test_saved_opened_and_begun_anew(held):
+def test_saved_and_opened(held):
     first = held.lesson.folder
     held.press(13)
     held.wait("advised")
@@ -199,10 +199,13 @@ def test_saved_opened_and_begun_anew(held):
     assert task["corrections"] == 0 and task["points"][1] > 0
     second = held.lesson.folder
     assert second.name == "taught-2" and (second / "start").is_dir()
-    held.forget()
+
+
+def test_begun_anew_with_another_learner(held):
+    first, number = held.lesson.folder.name.rsplit("-", 1)
     held.ask("learner", name="d-coach", settings={"learning_rate": 0.1})
     task = held.wait("task", seconds=120)
-    assert task["learner"]["name"] == "d-coach" and held.lesson.folder.name == "taught-3"
+    assert task["learner"]["name"] == "d-coach" and held.lesson.folder.name == f"{first}-{int(number) + 1}"
     assert {each["name"]: each["value"] for each in task["learner"]["settings"]}["learning_rate"] == 0.1
 
 
@@ -219,7 +222,8 @@ def command(*words):
     return [sys.executable, "-m", "gpcjax", *map(str, words)]
 
 
-def test_killed_and_gone_on_with(tmp_path):
+@pytest.mark.slow
+def test_killed_and_gone_on_with(tmp_path, compiled_as_shipped):
     """Kill -9 of a lesson as a process: what was recorded is there, is the same to the bit, and goes on."""
     folder = tmp_path / "taught-1"
     script = f"""

@@ -123,7 +123,7 @@ def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
     np.testing.assert_array_equal(taught.session.act(obs), before)
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 def test_a_full_dictionary_goes_on_learning_in_the_same_room(tmp_path, monkeypatch, algo):
     monkeypatch.setattr("gpcjax.teach.beginning.DICTIONARY", 8)
     taught = Taught.begin(tmp_path, course(algo=(algo,)))
@@ -187,7 +187,7 @@ class TestReplay:
         assert_same(again, lesson)
         assert again.present.total == lesson.present.total
 
-    @pytest.mark.parametrize("cut", ["line", "torn"])
+    @pytest.mark.parametrize("cut", [pytest.param("line", marks=pytest.mark.slow), "torn"])
     def test_it_goes_on_wherever_it_was_cut(self, lesson, tmp_path, cut):
         """After kill -9 at any moment: the same bits as of who goes on from there without it."""
         lines = (lesson.folder / RECORD).read_bytes().splitlines(keepends=True)
