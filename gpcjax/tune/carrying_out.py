@@ -212,7 +212,7 @@ def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
     compute_here()
     from gpcjax.tune.likelihood import by_likelihood  # which loads jax
 
-    fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, seeds=wishes.check)
+    fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, take=wishes.take, seeds=wishes.check)
     bounded = [f"{fit.model} model: {', '.join(fit.at_bound)}" for fit in fitted.fits if fit.at_bound]
     warned = (
         "Numbers that ended at a bound, which the data do not tell but that they are so large, or so small: "

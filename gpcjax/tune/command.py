@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gpcjax.allowed import shown
+from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.layout import GIVE_NEW
@@ -29,7 +29,7 @@ from gpcjax.sweep.spec import (
     read_toml,
 )
 from gpcjax.tune import halving, space
-from gpcjax.tune.flags import TABLE, own_values
+from gpcjax.tune.flags import TABLE, TAKEN, own_values
 from gpcjax.tune.halving import Rung
 from gpcjax.tune.names import names_of
 from gpcjax.tune.space import Space
@@ -60,6 +60,8 @@ class Wishes(NamedTuple):
     check: Seeds
     runs: Path | None
     """A folder with what runs had learned, for the method that is fitted to it."""
+    take: tuple[str, ...]
+    """What of the fitted numbers become settings."""
     which: dict[str, str]
     """Which of these, by columns and values."""
     out: Path
@@ -79,6 +81,7 @@ class Wishes(NamedTuple):
             "eta": self.eta,
             "sampler_seed": self.sampler_seed,
             "runs": None if self.runs is None else str(self.runs),
+            "take": list(self.take),
             "where": self.which,
         }
 
@@ -144,6 +147,7 @@ def _wishes(arguments: argparse.Namespace, settings: Mapping[str, Given | Unchec
         sampler_seed=own["sampler_seed"],
         check=check,
         runs=None if own["runs"] is None else Path(os.path.expanduser(own["runs"])),
+        take=_taken(own["take"], own["source of take"]),
         which=which,
         out=Path(),
         jobs=given["jobs"].value if "jobs" in given else cores,
@@ -204,6 +208,14 @@ def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: str | None) -> S
     folder = Path(os.path.expanduser(runs))
     check_report(folder)
     return from_dict(read_manifest(folder)["specification"])
+
+
+def _taken(text: str, source: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(word.strip().replace("-", "_") for word in text.split(",")))
+    for name in names:
+        if name not in TAKEN:
+            raise UserError(f"{source} {shown(name)}: give {', '.join(TAKEN)}{suggestion(name, TAKEN)}")
+    return names
 
 
 def _refuse_another(wishes: Wishes) -> None:

@@ -13,6 +13,9 @@ from gpcjax.tune import halving
 from gpcjax.tune.names import OBJECTIVES
 
 METHODS = ("tpe", "grid", "mll")
+TAKEN = ("length_scale", "variance", "noise")
+"""What may be taken from a fit of marginal likelihood; all of it is fitted in any case."""
+
 TABLE = "tune"
 """The table of a TOML file with the flags of this command."""
 
@@ -71,6 +74,14 @@ FLAGS: dict[str, Own] = {
         Anything(WORDS),
         "on which the best is judged, none of the search's; default 1000-1099",
         "SEEDS",
+    ),
+    "take": Own(
+        str,
+        Anything(", ".join(TAKEN)),
+        "what of the fitted numbers become settings",
+        "A,B,...",
+        TAKEN[0],
+        methods=("mll",),
     ),
     "runs": Own(
         str,

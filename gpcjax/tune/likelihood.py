@@ -30,12 +30,10 @@ from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.seeds import LARGEST_SEED, Seeds
 from gpcjax.sweep.spec import SweepSpec, from_dict
 from gpcjax.tune.dictionaries import MODELS, Held, Model, chosen_runs, held_by
+from gpcjax.tune.flags import TAKEN
 from gpcjax.tune.toml import text_of
 
 BEST = "best.toml"
-TAKEN = ("length_scale", "variance", "noise")
-"""What may be taken from a fit into the settings; all of it is fitted in any case."""
-
 FURTHER = 100
 """Seeds of a sweep whose seeds nobody gives."""
 

@@ -14,8 +14,9 @@ import pytest
 from gpcjax import cli
 from gpcjax.cli.words import parse_words, settings
 from gpcjax.report.figures import style
-from gpcjax.sweep.spec import make_spec, read_toml
+from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.tune import carrying_out
+from tests.sweep.folders import begun
 from tests.tune.landscape import Landscape
 
 SEARCH = ("--search", "policy-length-scale=0.01:100", "--search", "human-length-scale=0.01:100")
@@ -175,6 +176,7 @@ def test_what_is_refused_before_anything_runs(workers, tmp_path, capsys):
         (*SEARCH, "--trials", "0"): "--trials 0: give a whole number",
         (*SEARCH, "--keep", "states"): "--keep: a search has none",
         (*SEARCH, "--out", "full"): "full: this is no folder of a search, and it is not empty",
+        ("--method", "mll", *SEARCH): "--batch: with --method mll it changes nothing",
         ("a.toml", *SEARCH): "a.toml: [tune] trial is no setting of a search",
     }
     for words, message in cases.items():
@@ -187,6 +189,31 @@ def test_what_is_refused_before_anything_runs(workers, tmp_path, capsys):
         assert cli.main([*given, *words]) == 2, words
         assert message in capsys.readouterr().err
     assert not landscape.cells and not (tmp_path / "o").exists()
+
+
+def test_what_a_fit_needs_is_refused_before_anything_runs(workers, tmp_path, capsys):
+    begun(tmp_path / "kept", spec_of(env="cartpole", algo="gpc", seeds=2, episodes=3))
+    (tmp_path / "kept" / "episodes").mkdir()
+    (tmp_path / "kept" / "episodes" / "one.parquet").touch()
+    cases = {
+        (): "no runs: give --runs FOLDER",
+        ("--runs", "none"): "none: ",
+        ("--runs", "kept", *SEARCH): "--search: --method mll finds all it can, leave it out",
+        (
+            "--runs",
+            "kept",
+            "--env",
+            "cartpole",
+        ): "--env: with --method mll the folder of --runs says it, leave it out",
+        ("--runs", "kept", "--take", "length"): "--take 'length': give length_scale, variance, noise",
+        ("--runs", "kept", "--check-seeds", "1-3"): "--check-seeds 1-3: seed 1 has a part in the search",
+        ("--runs", "kept", "--algo", "gpc,gpc-ns"): "--algo: give one learner",
+    }
+    for words, message in cases.items():
+        assert cli.main(["tune", "--method", "mll", "--out", "o", *words]) == 2, words
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+    assert cli.main(["tune", "--method", "mll", "--runs", "kept", "--dry-run", "--out", "o"]) == 0
 
 
 def test_a_folder_holds_one_search(workers, tmp_path, capsys):
