@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -133,3 +134,14 @@ def test_an_address_where_no_ray_is(monkeypatch):
     ):
         _ = Ray("auto").jobs
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_an_address_where_nobody_listens_is_told_at_once():
+    """Ray itself would ask for many minutes."""
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))  # taken, and not listening
+        address = f"127.0.0.1:{closed.getsockname()[1]}"
+        with pytest.raises(
+            UserError, match=f"address {address}: no Ray that this machine belongs to is there"
+        ):
+            Ray(address)._connect()

@@ -10,6 +10,7 @@ import importlib.util
 import logging
 import os
 import signal
+import socket
 import threading
 import warnings
 from collections.abc import Iterator
@@ -22,6 +23,9 @@ from gpcjax.sweep.executors.crew import Crew
 
 START_TRIES = 3
 """Of a Ray of our own: on a machine that is busy with other things its start takes long."""
+
+ANSWER_SECONDS = 10.0
+"""In which a cluster's address must take a connection."""
 
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -94,6 +98,7 @@ class Ray:
             return
         ray = _library()
         if not ray.is_initialized():
+            self._refuse_nobody()
             own: dict[str, Any] = {
                 "num_cpus": self.jobs if self._address is None else None,
                 "object_store_memory": _OBJECTS,
@@ -105,6 +110,16 @@ class Ray:
                 self._begin(ray, options)
             self._ours = True
         self._ray = ray
+
+    def _refuse_nobody(self) -> None:
+        """Refuse HOST:PORT where nobody listens, which Ray would go on asking for many minutes."""
+        host, colon, port = (self._address or "").rpartition(":")
+        if not colon or "/" in host or not port.isdigit():
+            return
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_SECONDS).close()
+        except (OSError, OverflowError) as error:
+            raise self._unreached(error) from None
 
     def _begin(self, ray: Any, options: dict[str, Any]) -> None:
         """Starts a Ray, or joins one. One of our own is tried again: Ray gives itself half a minute for its start."""
