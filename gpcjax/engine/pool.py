@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -255,4 +256,4 @@ class Pool:
 def _without_room(lane: Lane) -> Lane:
     """A lane on the host with the rows of its own episodes."""
     rows = jax.tree.map(lambda column: column[: int(lane.episodes)], lane.rows)
-    return dataclasses.replace(lane, rows=rows)
+    return eqx.tree_at(lambda lane: lane.rows, lane, rows)
