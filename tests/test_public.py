@@ -1,10 +1,13 @@
 """The public names together, as a person with a task of their own uses them."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import numpy as np
 import pytest
 
 import gpcjax
+from gpcjax.errors import UserError
 
 
 @pytest.mark.slow
@@ -78,6 +81,24 @@ def test_a_sweep_and_its_report(tmp_path):
     gpcjax.draw_report(out)
     for name in ("summary.csv", "curves.png", "curves.pdf", "report.html"):
         assert (out / name).stat().st_size > 100
+
+
+@pytest.mark.slow
+def test_sweeps_and_reports_from_threads(tmp_path):
+    """Several at once, in a program whose main thread does something else."""
+
+    def one(seed):
+        out = gpcjax.run_sweep(
+            tmp_path / str(seed), env="pendulum", algo="coach", seeds=[seed], episodes=2, oracle="energy"
+        )
+        return gpcjax.load(out)["return"].tolist(), gpcjax.draw_report(out)
+
+    with ThreadPoolExecutor(2) as threads:
+        (first, report), (second, _) = threads.map(one, (0, 1))
+    assert len(first) == len(second) == 2 and first != second
+    assert report._repr_html_().count("data:image/png;base64,") == len(report.figures) == 2
+    with pytest.raises(UserError), ThreadPoolExecutor(1) as threads:
+        threads.submit(gpcjax.run_sweep, tmp_path / "0", env="pendulum", algo="coach", seeds=0).result()
 
 
 def test_learners_of_every_table_say_what_they_take():

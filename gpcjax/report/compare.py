@@ -32,7 +32,7 @@ LONGEST = 120
 _MEND = "make room and give the right to write, or give another --out"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """What `gpcjax.compare` found.
 
@@ -121,6 +121,16 @@ class Comparison:
             for group in groups
         ]
         return pd.DataFrame(rows, columns=["env", "folder", "missing_in", *names, "runs"])
+
+    def __repr__(self) -> str:
+        names = words.listed([folder.name for folder in self.folders])
+        return f"<comparison of {names}: {self.env}, {len(self.differences)} differences>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        from gpcjax.report.inline import comparison_inline
+
+        return comparison_inline(self)
 
     def save(self, out: Any) -> tuple[Path, ...]:
         """Write the tables, the figure and the page into the folder `out`, made if need be; gives their paths.

@@ -1,7 +1,7 @@
 """A document as one HTML file that needs nothing else: no link, no script, figures inside."""
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any
 
@@ -36,6 +36,15 @@ def render(document: Document, head: str = "") -> str:
         + "\n".join(filter(None, body))
         + "\n</main>\n</body>\n</html>\n"
     )
+
+
+def inline(blocks: Iterable[Block], more: str = "") -> str:
+    """These blocks for a page of somebody else's, such as a notebook's: with styles that touch nothing beside them.
+
+    `more` is HTML that follows them.
+    """
+    body = "\n".join(filter(None, map(_block, blocks)))
+    return f'<div class="gpcjax-inline"><style>.gpcjax-inline {{{_INLINE}}}</style>\n{body}\n{more}</div>'
 
 
 def refreshing(seconds: int) -> str:
@@ -126,6 +135,29 @@ _RENDERERS: dict[type, Callable[[Any], str]] = {
     Definitions: _definitions,
     Folded: _folded,
 }
+
+
+_INLINE = """
+background: #fff; color: #1d1d1f; max-width: 62rem; padding: .2rem .6rem;
+font: 14px/1.5 -apple-system, "Segoe UI", "Helvetica Neue", "Liberation Sans", Arial, sans-serif;
+p { color: #5f6368; margin: .4rem 0; max-width: 46rem; font-size: 13px; }
+.warning { border-left: 4px solid #d55e00; background: #fdf1e8; padding: .3rem .8rem; margin: .8rem 0; }
+.scroll { overflow-x: auto; margin: .8rem 0; }
+table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums; white-space: nowrap;
+  margin: 0; }
+caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
+th { font-weight: 600; text-align: right; padding: .3rem .8rem; background: #fff;
+  border-top: 1.5px solid #1d1d1f; border-bottom: 1px solid #1d1d1f; }
+td { text-align: right; padding: .15rem .8rem; background: #fff; }
+table, caption, th, td { color: #1d1d1f; }
+th.word, td.word, th.prose, td.prose { text-align: left; }
+tr.end td { border-bottom: 1px solid #d8dadd; }
+figure { margin: 1rem 0; }
+.drawing { overflow-x: auto; }
+.drawing img { display: block; height: auto; max-width: none; }
+figcaption { color: #5f6368; font-size: 13px; margin-top: .4rem; max-width: 46rem; }
+"""
+"""Nested in one rule: a notebook's own tables keep their looks, and its themes change nothing here."""
 
 
 _CSS = """

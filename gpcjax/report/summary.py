@@ -59,11 +59,22 @@ class Difference:
 
 
 @dataclass(frozen=True)
+class ImageFile:
+    """A figure of a report: a file, which a notebook shows as what it is."""
+
+    path: Path
+
+    def _repr_png_(self) -> bytes:
+        return self.path.read_bytes()
+
+
+@dataclass(frozen=True, repr=False)
 class Summary:
     """What a report says in numbers.
 
     `rows` are in the order of `study.groups`. `missing` counts planned cells without any episode, `unpaired` the pairs
-    of points that `pairs_of` leaves out. `files` are those that were written.
+    of points that `pairs_of` leaves out. `files` are those that were written. In a notebook it shows itself, with its
+    figures.
     """
 
     study: Study
@@ -105,6 +116,22 @@ class Summary:
     @cached_property
     def _row_of(self) -> dict[Group, Row]:
         return {row.group: row for row in self.rows}
+
+    @property
+    def figures(self) -> dict[str, "ImageFile"]:
+        """The figures that were drawn, by their names: `curves`, `rates`, and `heatmap` of a grid."""
+        return {path.stem: ImageFile(path) for path in self.files if path.suffix == ".png"}
+
+    def __repr__(self) -> str:
+        runs = sum(group.runs for group in self.study.groups)
+        where = f", {self.files[0].parent}" if self.files else ""
+        return f"<report on {self.study.env}: {len(self.rows)} groups, {runs} runs{where}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        from gpcjax.report.inline import summary_inline
+
+        return summary_inline(self)
 
     def table(self) -> pd.DataFrame:
         """What summary.csv holds: tidy, an estimate `x` with its interval in `x_lower` and `x_upper`."""

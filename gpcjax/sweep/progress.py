@@ -110,6 +110,85 @@ class JsonLines:
 
 
 @dataclass
+class Told:
+    """What is to be said of a sweep that runs, whoever shows it."""
+
+    name: str
+    """Of what is taught."""
+    cells: int
+    jobs: int
+    works: Sequence[Work] = ()
+    """All programs, before anything is done."""
+    clock: Callable[[], float] = time.monotonic
+    state: State = field(default_factory=State)
+    began: float = 0.0
+
+    def begin(self) -> None:
+        """From now on."""
+        self.began = self.clock()
+
+    @property
+    def first(self) -> str:
+        """The line of the beginning: how long it may take is said where the programs have run here before."""
+        line = (
+            f"{self.name}: {self.cells} cells in {self.jobs} {'process' if self.jobs == 1 else 'processes'}"
+        )
+        if not self.works or not all(work.before for work in self.works):
+            return line
+        compiling = max(work.usual_compiling for work in self.works)
+        seconds = _clock_time(seconds_left(self.works, self.jobs))
+        return f"{line}, about {seconds}, of which {_clock_time(compiling)} until all programs are there"
+
+    @property
+    def line(self) -> str:
+        """How far it is."""
+        parts = (f"{self.finished} cells", self.speed, self.left)
+        return f"{self.name}: {', '.join(part for part in parts if part)}"
+
+    @property
+    def last(self) -> str:
+        """What it has come to."""
+        took = _clock_time(self.clock() - self.began)
+        return f"{self.name}: {self.finished} cells in {took}, {self._rate or 'no steps'}"
+
+    @property
+    def finished(self) -> str:
+        """Cells, of all."""
+        return f"{self.state.finished}/{self.cells}"
+
+    @property
+    def share(self) -> float:
+        """Of the time that is over, as far as it can be told."""
+        left = seconds_left(self.state.works, self.jobs)
+        spent = self.clock() - self.began
+        return spent / (spent + left) if spent + left else 0.0
+
+    @property
+    def speed(self) -> str:
+        """Steps a second, and whether it compiles."""
+        return (
+            ", ".join(filter(None, (self._rate, "compiling" if self.state.compiling else ""))) or "starting"
+        )
+
+    @property
+    def _rate(self) -> str:
+        steps, spent = self.state.steps, max(self.clock() - self.began, 1e-9)
+        return f"{steps / spent:,.0f} env steps/s" if steps else ""
+
+    @property
+    def left(self) -> str:
+        """Time left, once some steps tell how fast this machine is."""
+        works = self.state.works
+        if not any(is_seen(work) for work in works):
+            return ""
+        return f"{_clock_time(seconds_left(works, self.jobs))} left"
+
+    def sofar(self, lines: int, encoding: str | None) -> RenderableType | None:
+        """The table so far, of so many groups at most; None as long as there is nothing in it."""
+        sofar = self.state.sofar
+        return None if sofar is None or sofar.range is None else table(sofar, max(lines, 1), encoding)
+
+
 class Bar:
     """Shows how far a sweep is, from `with` to its end. What the terminal cannot take is left out: the sweep goes on.
 
@@ -119,110 +198,83 @@ class Bar:
         jobs: workers.
         stream: where to; stderr by default. What is no terminal gets a line at the beginning, one a minute, and one
             at the end.
+        works: all programs, before anything is done.
     """
 
-    name: str
-    cells: int
-    jobs: int
-    stream: Any = None
-    clock: Callable[[], float] = time.monotonic
-    works: Sequence[Work] = ()
-    """All programs, before anything is done."""
-    _bar: Progress | None = None
-    _live: Live | None = None
-    _state: State = field(default_factory=State)
-    _began: float = 0.0
-    _line: float = 0.0
+    def __init__(
+        self,
+        name: str,
+        cells: int,
+        jobs: int,
+        stream: Any = None,
+        clock: Callable[[], float] = time.monotonic,
+        works: Sequence[Work] = (),
+    ):
+        self._told, self._stream, self._line = Told(name, cells, jobs, works, clock), stream, 0.0
+        self._bar: Progress | None = None
+        self._live: Live | None = None
 
     def __enter__(self) -> "Bar":
-        stream = self.stream or sys.stderr
-        self.stream = stream
-        self._began = self._line = self.clock()
+        self._stream = stream = self._stream or sys.stderr
+        self._told.begin()
+        self._line = self._told.began
         if stream.isatty():
             console = Console(file=cast(TextIO, _Patient(stream)))
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.fields[cells]} cells"),
-                TextColumn("{task.fields[speed]}"),
-                TimeElapsedColumn(),
-                TextColumn("{task.fields[left]}"),
-                console=console,
-            )
-            cells, speed, left = self._fields()
-            self._task = self._bar.add_task(self.name, total=1.0, cells=cells, speed=speed, left=left)
+            self._bar = bar_in(console)
+            self._task = self._bar.add_task(self._told.name, total=1.0, **_fields(self._told))
             self._live = Live(console=console, get_renderable=self._shown, refresh_per_second=4)
             self._live.start()
         else:
-            where = f"{self.jobs} {'process' if self.jobs == 1 else 'processes'}"
-            self._print(f"{self.name}: {self.cells} cells in {where}{self._expected()}")
+            self._print(self._told.first)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
-            self._state.sofar = (
-                None  # what is left on the screen is the bar: the report has a table of its own
-            )
+            # What is left on the screen is the bar: the report has a table of its own.
+            self._told.state.sofar = None
             self._live.stop()
         else:
-            took = _clock_time(self.clock() - self._began)
-            self._print(f"{self.name}: {self._state.finished}/{self.cells} cells in {took}, {self._speed()}")
+            self._print(self._told.last)
 
     def show(self, state: State) -> None:
         """Show this, now or with the next line."""
-        self._state = state
+        told = self._told
+        told.state = state
         if self._bar is not None:
-            cells, speed, left = self._fields()
-            self._bar.update(self._task, completed=self._done(), cells=cells, speed=speed, left=left)
-        elif self.clock() - self._line >= LINE_SECONDS:
-            self._line = self.clock()
-            parts = (f"{state.finished}/{self.cells} cells", self._speed(), self._left())
-            self._print(f"{self.name}: {', '.join(part for part in parts if part)}")
+            self._bar.update(self._task, completed=told.share, **_fields(told))
+        elif told.clock() - self._line >= LINE_SECONDS:
+            self._line = told.clock()
+            self._print(told.line)
 
     def _shown(self) -> RenderableType:
         """The table so far above the bar, as tall as the terminal allows."""
         assert self._bar is not None
-        sofar, console = self._state.sofar, self._bar.console
-        if sofar is None or sofar.range is None:
-            return self._bar
-        return Group(table(sofar, max(console.height - ROOM, 1), console.encoding), self._bar)
-
-    def _expected(self) -> str:
-        """How long it may take, for the first line; said where the programs have run here before."""
-        if not self.works or not all(work.before for work in self.works):
-            return ""
-        compiling = max(work.usual_compiling for work in self.works)
-        seconds = _clock_time(seconds_left(self.works, self.jobs))
-        return f", about {seconds}, of which {_clock_time(compiling)} until all programs are there"
-
-    def _fields(self) -> tuple[str, str, str]:
-        return f"{self._state.finished}/{self.cells}", self._speed(), self._left()
-
-    def _done(self) -> float:
-        """Share of the time that is over, as far as it can be told."""
-        left = seconds_left(self._state.works, self.jobs)
-        spent = self.clock() - self._began
-        return spent / (spent + left) if spent + left else 0.0
-
-    def _speed(self) -> str:
-        state = self._state
-        speed = (
-            f"{state.steps / max(self.clock() - self._began, 1e-9):,.0f} env steps/s" if state.steps else ""
-        )
-        return ", ".join(filter(None, (speed, "compiling" if state.compiling else ""))) or "starting"
-
-    def _left(self) -> str:
-        """Time left, once some steps tell how fast this machine is."""
-        works = self._state.works
-        if not any(is_seen(work) for work in works):
-            return ""
-        return f"{_clock_time(seconds_left(works, self.jobs))} left"
+        console = self._bar.console
+        sofar = self._told.sofar(console.height - ROOM, console.encoding)
+        return self._bar if sofar is None else Group(sofar, self._bar)
 
     def _print(self, line: str) -> None:
         with suppress(OSError, ValueError):
-            print(line, file=self.stream, flush=True)
+            print(line, file=self._stream, flush=True)
+
+
+def bar_in(console: Console) -> Progress:
+    """The bar, with what stands beside it."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[cells]} cells"),
+        TextColumn("{task.fields[speed]}"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+        console=console,
+    )
+
+
+def _fields(told: Told) -> dict[str, str]:
+    return {"cells": told.finished, "speed": told.speed, "left": told.left}
 
 
 class _Patient:

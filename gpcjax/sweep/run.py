@@ -18,10 +18,11 @@ from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
+from gpcjax.sweep.notebook import usual_watcher
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
-from gpcjax.sweep.progress import Bar, State, Watcher
+from gpcjax.sweep.progress import State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
@@ -257,7 +258,7 @@ class _Sweep:
             on_machine=lambda described: _note_machine(out, manifest, described),
         )
         works = tuple(self._desk.works.values())
-        self._bar = (watcher or Bar)(spec.env, len(missing), self._desk.workers, works=works)
+        self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)
 
     def run(self) -> None:
         """Until nothing is missing."""
