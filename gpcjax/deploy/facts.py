@@ -1,6 +1,7 @@
 """What a policy is: for a person, and for programs. Loads no jax for a policy that was saved."""
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -65,6 +66,8 @@ def facts(chosen: Chosen) -> dict[str, str]:
         whole = (chosen.folder / SUMS).is_file()
         sums = "as they were saved" if whole else f"unchecked ({SUMS} is missing)"
         said["format"] = f"{chosen.card['format']} (this version reads {known}); its files are {sums}"
+    if chosen.provenance:
+        said["provenance"] = ""
     return said | {f"  {name}": text for name, text in _provenance(chosen.provenance).items()}
 
 
@@ -108,10 +111,12 @@ def _points(plain: PlainKernel) -> list[int]:
 
 
 def _lengths(plain: PlainKernel) -> list[list[float]]:
-    """What an observation is divided by, of each action; once where they are alike."""
+    """Of each number of an observation, and of each action; once where actions have the same."""
     scale = plain.scale[:1] if (plain.scale == plain.scale[:1]).all() else plain.scale
+    # (3.4) takes distances in length-scales times sqrt(2 nu).
+    unit = 1.0 if plain.smoothness == SQUARED_EXPONENTIAL else math.sqrt(2 * plain.smoothness)
     with np.errstate(divide="ignore"):
-        return (1.0 / scale).tolist()
+        return (unit / scale).tolist()
 
 
 def _numbers(plain: Plain) -> int:
