@@ -13,7 +13,7 @@ from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
 from gpcjax.play.chosen import Chosen
 from gpcjax.policies.folder import FORMATS, SUMS
 from gpcjax.policies.kinds import KINDS
-from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel
+from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel, PlainNetwork
 from gpcjax.policies.policy import Policy
 from gpcjax.registry import find
 
@@ -100,9 +100,9 @@ def _own(plain: Plain | None) -> dict[str, Any]:
         case PlainGrid():
             ends = {name: getattr(plain, name).tolist() for name in ("lower", "upper")}
             return {"counts": list(plain.counts), **ends}
-        case None:
-            return {}
-    return {"layers": [len(bias) for bias in plain.biases]}
+        case PlainNetwork():
+            return {"layers": [len(bias) for bias in plain.biases]}
+    return {}
 
 
 def _points(plain: PlainKernel) -> list[int]:

@@ -90,10 +90,10 @@ def description(plain: Plain) -> str:
 
 def observed(size: int, env: str | None) -> list[str]:
     """What each number of an observation is, where the task says so; a line each."""
-    view = _task(env).view.observed if _task(env) is not None else ()
-    if len(view) != size:
+    spec = _task(env)
+    if spec is None or len(spec.view.observed) != size:
         return []
-    return [f"obs[{place}]: {text}" for place, (text, *_) in enumerate(view)]
+    return [f"obs[{place}]: {text}" for place, (text, *_) in enumerate(spec.view.observed)]
 
 
 def moved(size: int, env: str | None) -> list[str]:
