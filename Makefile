@@ -155,7 +155,7 @@ format: $(READY) ## write the code in its one style
 
 lock: $(READY) ## write requirements.lock anew (ARGS=--upgrade for newer versions)
 	$(call with_args,.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
-		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster --extra onnx pyproject.toml -o requirements.lock)
+		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster --extra mujoco --extra onnx pyproject.toml -o requirements.lock)
 
 clean: ## remove .venv and all caches, no results
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -164,6 +164,10 @@ def _expert(word: str, env: str | None) -> Chosen:
         raise UserError(
             f"{word}: there is no such folder, give one, or ENV:EXPERT such as cartpole:{expert_names('cartpole')[0]}"
         )
+    if task in ("gym", "brax"):
+        raise UserError(
+            f"{word}: this is a task, give {word}:EXPERT, or the folder of a policy with --env {word}"
+        )
     known = expert_names(task)
     if name not in known:
         raise UserError(
