@@ -24,7 +24,7 @@
 #:   SPEC      a TOML file with such settings, sweeps/*.toml for one
 #:   QUICK     1 for a small reproduction
 #:   ONLY      parts of it: illustrations, pendulum, cartpole, active, oracles, lander (all)
-#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, test-all, bench, lock; for
+#:   ARGS      any other flags, as one word: ARGS='--beta 10,30 --no-sparsify'; also for test, test-all, bench, dist, lock; for
 #:             compare the folders
 #:   PYTHON    what .venv is made with (python3)
 #:
@@ -58,6 +58,7 @@ TAKES_bench-teach := ARGS
 TAKES_test := ARGS
 TAKES_test-all := ARGS
 TAKES_torture := ARGS
+TAKES_dist := ARGS
 TAKES_lock := ARGS
 GOALS := $(or $(MAKECMDGOALS),help)
 TAKEN := $(foreach goal,$(GOALS),$(TAKES_$(goal))) PYTHON
@@ -89,7 +90,7 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture lint format
+.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture dist lint format
 .PHONY: lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
@@ -146,6 +147,9 @@ test-all: $(READY) $(BROWSER) ## run every test: further learners, tasks, sizes,
 torture: $(READY) ## spoil hundreds of run folders, kill hundreds of sweeps, and see that nothing is lost
 	$(call with_args,.venv/bin/python -m tests.torture)
 
+dist: $(READY) ## build wheel and sdist, and try them in clean environments (ARGS=--lowest: oldest versions)
+	$(call with_args,.venv/bin/python -m tests.dist)
+
 lint: $(READY) ## check style, types and the direction of imports
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/basedpyright && .venv/bin/lint-imports --no-logo
@@ -155,7 +159,7 @@ format: $(READY) ## write the code in its one style
 
 lock: $(READY) ## write requirements.lock anew (ARGS=--upgrade for newer versions)
 	$(call with_args,.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
-		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster pyproject.toml -o requirements.lock)
+		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster --extra mujoco --extra onnx pyproject.toml -o requirements.lock)
 
 clean: ## remove .venv and all caches, no results
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache

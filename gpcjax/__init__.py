@@ -34,6 +34,7 @@ _PUBLIC = {
     "load_policies": "gpcjax.sweep.learned:load_policies",
     "load_states": "gpcjax.sweep.learned:load_states",
     "load_learner": "gpcjax.learners.saved:load_learner",
+    "export_policy": "gpcjax.deploy.export:export_policy",
     "gym_env": "gpcjax.envs.host:gym_env",
     "learner_names": "gpcjax.registry:learner_names",
     "load_policy": "gpcjax.policies.saved:load_policy",
@@ -49,7 +50,7 @@ _PUBLIC = {
 }
 """Public name -> where it lives. None is the name of a subpackage: importing one would hide it."""
 
-_WITHOUT_JAX = {"load_policy"}
+_WITHOUT_JAX = {"load_policy", "export_policy"}
 """Names that need no jax: a program that only acts starts in a fraction of the time."""
 
 __all__ = [  # noqa: RUF022  (the order of the interface)
@@ -62,6 +63,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "evaluate",
     "save_policy",
     "load_policy",
+    "export_policy",
     "save_learner",
     "load_learner",
     "run_sweep",
@@ -96,6 +98,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
 
 TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
+    from gpcjax.deploy.export import export_policy
     from gpcjax.describe import Control, LearnerSpec, Setting, TaskSpec, TeacherSpec, View
     from gpcjax.engine.evaluate import evaluate
     from gpcjax.engine.session import Session

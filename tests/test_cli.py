@@ -437,6 +437,9 @@ def test_argparse_gives_no_help_with_a_percent_sign():
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 command.format_help()
+                for own in command._actions:
+                    if isinstance(own, argparse._SubParsersAction):
+                        assert [part.format_help() for part in own.choices.values()]
 
 
 def test_a_live_report_is_drawn_until_the_sweep_ends(calls):

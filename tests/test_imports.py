@@ -46,6 +46,8 @@ def test_importing_loads_nothing_heavy(code):
         ["reproduce", "--help"],
         ["reproduce", "--dry-run", "--out", "/tmp/there-is-none"],
         ["reproduce", "--only", "foo"],
+        ["policy", "export", "--help"],
+        ["policy", "export", "cartpole:gpc", "--to", "java"],
         ["version"],
         ["sweep", "--env", "cartpole", "--dry-run", "--out", "/tmp/there-is-none"],
         ["sweep", "--env", "foo"],

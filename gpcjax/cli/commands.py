@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from gpcjax.cli.flags import JSON, WHERE, Command, Flag, flag_of, help_of
+from gpcjax.cli.policy import POLICY
 from gpcjax.reproduce.parts import PARTS, folder
 from gpcjax.sweep.options import (
     EXPERIMENT,
@@ -214,6 +215,7 @@ _TEXTS = {
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
     "play": "show a policy in a window, or as an animated GIF",
+    "policy": "say what a policy is and how well it does, and export it",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
     "runs": "list run folders, and how far they are",
     "show": "say what a run folder holds, and check all of it",
@@ -260,6 +262,7 @@ COMMANDS = {
     ),
     "teach": _teach(),
     "play": _play(),
+    "policy": Command(_TEXTS["policy"], parts=POLICY),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
     "runs": Command(
         _TEXTS["runs"],

@@ -151,6 +151,10 @@ def _run(words: Sequence[str]) -> int:
             from gpcjax.play.command import play
 
             return play(arguments)
+        case "policy":
+            from gpcjax.deploy.command import policy
+
+            return policy(arguments)
         case "replay":
             from gpcjax.teach.run import replay
 

@@ -1,6 +1,7 @@
 """Flags and commands as data, made from the table of options. Standard library only."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from gpcjax.allowed import Anything
 from gpcjax.sweep.options import Option
@@ -41,6 +42,8 @@ class Command:
     """Whether the word must be given."""
     several: bool = False
     """Whether it may be given several times; its value is then the list of all."""
+    parts: "Mapping[str, Command]" = field(default_factory=dict)
+    """Commands of its own, by the word that is given first; then it has nothing else."""
 
     @property
     def flags(self) -> tuple[Flag, ...]:

@@ -6,7 +6,7 @@ begins with a dash for a flag, and fails on `--error=--`.
 
 import argparse
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.cli.commands import COMMANDS
@@ -42,27 +42,36 @@ def _parsers() -> dict[str, argparse.ArgumentParser]:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     parsers = {"": parser}
     for name, command in COMMANDS.items():
-        text = command.text
         usage = (
             f"gpcjax {name} [{command.word}] [--FLAG VALUE ...]"
             if name in ("sweep", "grid", "tune")
             else None
         )
-        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", usage=usage)
-        if command.word:
-            nargs = "+" if command.several else None if command.needed else "?"
-            sub.add_argument(command.word.lower(), nargs=nargs, metavar=command.word, help=command.word_text)
-        for title, flags in command.groups:
-            group = sub.add_argument_group(title) if title else sub
-            for flag in flags:
-                if flag.metavar:
-                    action = "append" if flag.repeated else "store"
-                    group.add_argument(flag.name, action=action, metavar=flag.metavar, help=flag.text)
-                else:
-                    action = argparse.BooleanOptionalAction if flag.negative else "store_true"
-                    group.add_argument(flag.name, action=action, help=flag.text)
-        parsers[name] = sub
+        parsers[name] = sub = _add(commands, name, command, usage)
+        if command.parts:
+            parts = sub.add_subparsers(dest="part", metavar="COMMAND")
+            for word, part in command.parts.items():
+                parsers[f"{name} {word}"] = _add(parts, word, part)
     return parsers
+
+
+def _add(commands: Any, name: str, command: Command, usage: str | None = None) -> argparse.ArgumentParser:
+    """Adds a command to those of a parser."""
+    text = command.text
+    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", usage=usage)
+    if command.word:
+        nargs = "+" if command.several else None if command.needed else "?"
+        parser.add_argument(command.word.lower(), nargs=nargs, metavar=command.word, help=command.word_text)
+    for title, flags in command.groups:
+        group = parser.add_argument_group(title) if title else parser
+        for flag in flags:
+            if flag.metavar:
+                action = "append" if flag.repeated else "store"
+                group.add_argument(flag.name, action=action, metavar=flag.metavar, help=flag.text)
+            else:
+                action = argparse.BooleanOptionalAction if flag.negative else "store_true"
+                group.add_argument(flag.name, action=action, help=flag.text)
+    return parser
 
 
 def _help_and_end(name: str) -> NoReturn:
@@ -72,6 +81,8 @@ def _help_and_end(name: str) -> NoReturn:
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """Read the words after `gpcjax`: `command`, the command's word, and a value for each of its flags.
+
+    A command that has commands of its own has the name of the one that was given as `part`.
 
     Values stay texts; a switch is true or false, and one with a negative None where neither was given. `--help` and
     `--version` print and end the process.
@@ -92,10 +103,27 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
         raise UserError(f"{shown(first)} is no command{near}: give {', '.join(COMMANDS)}")
     before_dashes = rest[: rest.index("--")] if "--" in rest else rest
     if "--help" in before_dashes or "-h" in before_dashes:
-        _help_and_end(first)
+        part = f"{first} {rest[0]}"
+        _help_and_end(part if rest[0] in COMMANDS[first].parts else first)
     command = COMMANDS[first]
-    values = _read(first, command, rest)
-    return argparse.Namespace(command=first, **values)
+    if command.parts:
+        return _part(first, command, rest)
+    return argparse.Namespace(command=first, **_read(first, command, rest))
+
+
+def _part(name: str, command: Command, words: Sequence[str]) -> argparse.Namespace:
+    """The same of a command that has commands of its own."""
+    first, *rest = words or [""]
+    if not first or first.startswith("-"):
+        raise UserError(f"COMMAND is missing: give {', '.join(command.parts)}, see gpcjax {name} --help")
+    if first not in command.parts:
+        near = suggestion(first, command.parts)
+        raise UserError(
+            f"{shown(first)} is no command of gpcjax {name}{near}: give {', '.join(command.parts)}"
+        )
+    return argparse.Namespace(
+        command=name, part=first, **_read(f"{name} {first}", command.parts[first], rest)
+    )
 
 
 def _read(name: str, command: Command, words: Sequence[str]) -> dict[str, str | bool | list[str] | None]:

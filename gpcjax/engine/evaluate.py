@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import COUNT, checked, shown
+from gpcjax.allowed import COUNT, Numbers, checked, shown
 from gpcjax.engine import streams
 from gpcjax.engine.programs import lifted, program
 from gpcjax.envs.base import Env, State, started, stepped
@@ -22,6 +22,9 @@ from gpcjax.errors import UserError
 from gpcjax.policies.base import vector
 
 Function = Callable[[Any], Any]
+
+FIRST_SEED = Numbers(0, 1_000_000_000, whole=True)
+"""Of the starts: with as many as there may be, seeds still fit into an int32."""
 
 
 class Returns(eqx.Module):
@@ -34,10 +37,10 @@ class Returns(eqx.Module):
 
 
 @under_own_settings
-def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
+def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns:
     """One episode of `policy` from each of `starts` starts, none of it learned from.
 
-    The starts are those of the first episode of seeds 0 to starts - 1.
+    The starts are those of the first episode of seeds `seed` to `seed + starts - 1`.
 
     An action that is not finite ends its episode and is not simulated; a step that leads to an observation or a reward
     that is not finite counts and is the last one. The return of such an episode is NaN.
@@ -51,10 +54,11 @@ def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
             or that is another one when it is traced a second time (it draws numbers, or counts), is called on the host
             with a numpy array, at each step once for each start, in their order.
         starts: a whole number from 1 to 1,000,000.
+        seed: of the first start, a whole number from 0 to 1,000,000,000.
 
     Raises:
-        ValueError: no task, no function, another number of starts, actions of another shape or type, or a task whose
-            states have other shapes or types than it declares.
+        ValueError: no task, no function, another number of starts, another seed, actions of another shape or type, or
+            a task whose states have other shapes or types than it declares.
     """
     if not isinstance(env, Env | HostEnv):
         raise UserError(f'env {shown(env)}: give a task, such as make_env("cartpole")')
@@ -63,18 +67,19 @@ def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
             f"policy {shown(policy)}: give a function of the observation, such as learner.policy_of(state)"
         )
     starts = checked("starts", starts, int, COUNT)
+    first = checked("seed", seed, int, FIRST_SEED)
     traced = _traced(env, policy)
     if isinstance(env, HostEnv):
         actions = _one_by_one(env, policy) if traced is None else _together(env, *traced, starts)
-        return _on_host(env, actions, starts)
+        return _on_host(env, actions, starts, first)
     if traced is None:
-        return _stepwise(env, _one_by_one(env, policy), starts)
+        return _stepwise(env, _one_by_one(env, policy), starts, first)
     values, act = traced
     arrays, static = eqx.partition(env, eqx.is_array)
     run = lambda arrays, values, seeds: _compiled(  # noqa: E731
         eqx.combine(arrays, static), lambda obs: act(values, obs), seeds
     )
-    seeds = jnp.arange(starts)
+    seeds = first + jnp.arange(starts)
     return program(run, arrays, values, seeds)(arrays, values, seeds)
 
 
@@ -131,10 +136,10 @@ Actions = Callable[[Float[np.ndarray, "obs lanes"], list[int]], Float[np.ndarray
 """The actions at these observations; they count in the lanes that are listed."""
 
 
-def _stepwise(env: Env, actions: Actions, starts: int) -> Returns:
+def _stepwise(env: Env, actions: Actions, starts: int, first: int) -> Returns:
     """The same with a policy on the host: step after step, the task alone compiled."""
     arrays, static = eqx.partition(env, eqx.is_array)
-    seeds = jnp.arange(starts)
+    seeds = first + jnp.arange(starts)
     begin = lambda arrays, seeds: _begin(eqx.combine(arrays, static), seeds)  # noqa: E731
     now = program(begin, arrays, seeds)(arrays, seeds)
     step = lambda arrays, now, action: _advance(eqx.combine(arrays, static), now, action)  # noqa: E731
@@ -144,10 +149,10 @@ def _stepwise(env: Env, actions: Actions, starts: int) -> Returns:
     return now.result()
 
 
-def _on_host(env: HostEnv, actions: Actions, starts: int) -> Returns:
+def _on_host(env: HostEnv, actions: Actions, starts: int, first: int) -> Returns:
     simulations = [env.simulate() for _ in range(starts)]
     obs = np.stack(
-        [run.reset(streams.reset_seeds(seed, 1)[0]) for seed, run in enumerate(simulations)], axis=-1
+        [run.reset(streams.reset_seeds(seed, 1)[0]) for seed, run in enumerate(simulations, first)], axis=-1
     )
     returns, length = np.zeros(starts), np.zeros(starts, int)
     returns[~np.isfinite(obs).all(0)] = np.nan

@@ -121,6 +121,10 @@ class HostEnv:
                 made = gymnasium.make(self.gym_id, disable_env_checker=True, **self.options, **more)
                 return made if self.max_steps is None else made.unwrapped
             except (gymnasium.error.Error, ImportError, TypeError, AssertionError) as error:
+                missing = isinstance(error, gymnasium.error.DependencyNotInstalled | ImportError)
+                # MuJoCo's tasks import what draws them, whether they are drawn or not.
+                if missing and any(name in str(error) for name in ("MuJoCo", "mujoco", "imageio", "glfw")):
+                    error = f"it needs the extra, pip install 'gpcjax[mujoco]' ({error})"
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
 
 

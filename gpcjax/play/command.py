@@ -108,15 +108,11 @@ def _show(player: "Player", wishes: Wishes, word: str) -> int:
 
 def _world(player: "Player", seed: int) -> "World":
     from gpcjax.envs.registry import make_env
+    from gpcjax.play.chosen import check_sizes
     from gpcjax.teach.world import World
 
     env = make_env(player.env)
-    sizes = env.obs_size, env.action_size
-    if player.sizes not in (None, sizes):
-        raise UserError(
-            f"{player.who}: it takes {player.sizes[0]} numbers of an observation and gives {player.sizes[1]} actions, "
-            f"{player.env} has {sizes[0]} and {sizes[1]}"
-        )
+    check_sizes(player, (env.obs_size, env.action_size))
     return World(env, seed, pictures=True)
 
 

@@ -1,4 +1,4 @@
-"""What acts in jax: a controller, and how the policy that clips it (`gpcjax.policies.policy`) is part of jax."""
+"""What acts in jax: a controller, whose actions a policy (`gpcjax.policies.policy`) clips."""
 
 import abc
 from typing import Any
@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+import gpcjax.policies.pytree  # noqa: F401  (policies are part of jax wherever it is used)
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.policies.policy import Policy as Policy
 from gpcjax.policies.vectors import Vector as Vector
@@ -85,11 +86,3 @@ def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
 @jax.jit(inline=True)
 def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
     return jnp.clip(controller(obs), -1.0, 1.0)
-
-
-jax.tree_util.register_pytree_with_keys(
-    Policy,
-    lambda policy: (((jax.tree_util.GetAttrKey("controller"), policy.controller),), None),
-    lambda _, children: Policy(*children),
-    lambda policy: ((policy.controller,), None),
-)

@@ -1,7 +1,7 @@
 """What jax is told when it is imported only after a policy was loaded without it.
 
 Whoever loads a policy and imports jax later finds both as if gpcjax had loaded jax at once: float64 is on
-(`gpcjax._x64`), and policies are pytrees (`gpcjax.policies.base`).
+(`gpcjax._x64`), and policies are pytrees (`gpcjax.policies.pytree`).
 """
 
 import importlib
@@ -11,7 +11,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-_OURS = "gpcjax.policies.base"
+_OURS = "gpcjax.policies.pytree"
 """What tells jax all that it must know of policies."""
 
 

@@ -55,10 +55,19 @@ class Policy:
             self._controller = controller_of(self._plain)
         return self._controller
 
+    @property
+    def plain(self) -> Plain | None:
+        """The same in numpy; None for a controller of one's own, or one whose numbers jax traces."""
+        if self._plain is _UNKNOWN:
+            from gpcjax.policies.counterparts import plain_of
+
+            self._plain = plain_of(self._controller)
+        return self._plain
+
     def __call__(self, obs: Vector) -> Any:
         """The action at `obs`: jax's if that is, otherwise an array of numpy's where the kind is a built-in one."""
         if not is_jax(obs) and not (isinstance(obs, list | tuple) and any(map(is_jax, obs))):
-            plain = self._known_plain()
+            plain = self.plain
             if plain is not None:
                 return plain.act(vector("obs", obs, plain.obs_size, "this policy"))
         from gpcjax.policies.base import acted
@@ -72,11 +81,3 @@ class Policy:
     def __repr__(self) -> str:
         acting = self._plain if self._controller is None else self._controller
         return f"Policy({type(acting).__name__})"
-
-    def _known_plain(self) -> Plain | None:
-        """The same in numpy; None for a controller of one's own, or one whose numbers jax traces."""
-        if self._plain is _UNKNOWN:
-            from gpcjax.policies.counterparts import plain_of
-
-            self._plain = plain_of(self._controller)
-        return self._plain

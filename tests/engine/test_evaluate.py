@@ -10,6 +10,7 @@ from gpcjax.engine import programs, streams
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.cartpole import CartPole
 from gpcjax.envs.host import HostEnv
+from tests.engine.host_tasks import host_drift
 from tests.engine.tasks import Drift, advance, expert, reset
 
 
@@ -31,6 +32,19 @@ def test_the_number_of_starts_changes_none_of_them():
     env = Drift()
     few, many = evaluate(env, expert, starts=3), evaluate(env, expert, starts=10)
     np.testing.assert_allclose(many.returns[:3], few.returns, rtol=1e-12)
+
+
+@pytest.mark.parametrize("on_host", [False, True], ids=["compiled", "host"])
+@pytest.mark.parametrize("library", [jnp, np])
+def test_starts_from_another_seed_on(on_host, library):
+    env = host_drift() if on_host else Drift()
+    policy = lambda obs: -0.3 * library.asarray(obs[:2])  # noqa: E731
+    later, all_of_them = evaluate(env, policy, 3, seed=4), evaluate(env, policy, 7)
+    np.testing.assert_allclose(later.returns, all_of_them.returns[4:], rtol=1e-12)
+    np.testing.assert_array_equal(later.length, all_of_them.length[4:])
+    assert len(set(np.asarray(all_of_them.returns))) == 7
+    with pytest.raises(ValueError, match=r"seed -1: give a whole number from 0 to 1,000,000,000"):
+        evaluate(env, policy, 3, seed=-1)
 
 
 def test_idle_does_nothing():

@@ -10,32 +10,14 @@ import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.gp.smoothness import SMOOTHNESSES
 from gpcjax.policies.base import Controller, Policy, acted
 from gpcjax.policies.counterparts import controller_of, in_numpy, plain_of
 from gpcjax.policies.kernel import KernelController
-from gpcjax.policies.plain import PlainGrid, PlainKernel, PlainNetwork
 from gpcjax.policies.saved import load_shipped, shipped_path
+from tests.policies.made import draw, made
 from tests.trees import assert_same_bits
 
 SHIPPED = sorted(path.name for path in shipped_path("").iterdir())
-
-
-def draw(shape, seed=0):
-    return np.random.default_rng(seed).normal(size=shape)
-
-
-def made():
-    """One of each kind, of three observations and two actions."""
-    for nu in SMOOTHNESSES:
-        yield PlainKernel(draw((2, 7, 3)), draw((2, 7), 1), np.abs(draw((2, 3), 2)), nu)
-    yield PlainGrid(draw((2, 2, 4, 3)), np.array([-1.0, -2.0, 0.0]), np.array([1.0, 2.5, 0.3]), (2, 4, 3))
-    sizes = (3, 5, 4, 2)
-    weights = tuple(draw((sizes[i + 1], sizes[i]), i) for i in range(3))
-    biases = tuple(draw(size) for size in sizes[1:])
-    for squashed in (False, True):
-        yield PlainNetwork(weights, biases, squashed)
-        yield PlainNetwork((draw((2, 3)),), biases[-1:], squashed)
 
 
 def assert_same_actions(policy, observations):
@@ -168,8 +150,10 @@ print(len(jax.tree.leaves(policy)), len([each for each in sys.meta_path if "poli
 """
 
 
-def test_a_fresh_process_acts_without_jax_and_finds_it_ready_when_it_comes():
-    code = FRESH.format(path=str(shipped_path("cartpole")))
+@pytest.mark.parametrize("first", ["jax.numpy", "equinox"])
+def test_a_fresh_process_acts_without_jax_and_finds_it_ready_when_it_comes(first):
+    code = FRESH.replace("import jax.numpy as jnp", f"import {first}; import jax.numpy as jnp")
+    code = code.format(path=str(shipped_path("cartpole")))
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(gpcjax.__file__).parents[1]
     )

@@ -7,7 +7,6 @@ import queue
 import socket
 import threading
 import time
-import zipfile
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -382,11 +381,3 @@ def test_a_port_in_use_is_said_or_the_next_one_taken():
 def test_a_host_that_is_none_is_said(host):
     with pytest.raises(UserError, match="--host"):
         bound(host, 0, 1)
-
-
-def test_a_wheel_has_the_page(tmp_path, monkeypatch):
-    from flit_core import buildapi
-
-    monkeypatch.chdir(PAGE.parents[2])
-    wheel = zipfile.ZipFile(tmp_path / buildapi.build_wheel(str(tmp_path)))
-    assert {f"gpcjax/teach/page/{each.name}" for each in PAGE.iterdir()} <= set(wheel.namelist())
