@@ -17,7 +17,7 @@ def record():
 
 def test_nothing_was_edited_by_hand(record):
     assert publish.published_files(whole=not record["missing"]) == record["files"], STALE
-    assert {"README.md: caption", "README.md: results", "docs/cartpole.png"} <= set(record["files"])
+    assert {"README.md: caption", "docs/results.md: results", "docs/cartpole.png"} <= set(record["files"])
 
 
 def test_the_experiments_are_those_of_the_checkout(record):
