@@ -146,7 +146,7 @@ $(DOCS): requirements-docs.lock | $(READY)
 	@$(PIP) install --require-hashes --only-binary :all: -r requirements-docs.lock && touch $@
 
 docs: $(READY) $(DOCS) ## build the site into site/ (open site/index.html)
-	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 
 test-all: $(READY) $(BROWSER) $(DOCS) ## run every test: further learners, tasks, sizes, whole pages
 	$(call with_args,.venv/bin/python -m pytest -n 2 --all)

@@ -92,7 +92,7 @@ def test_other_targets(folder):
         ["-m", "pytest", "-n", "2", "--all", "-x"],
         ["-m", "gpcjax", "teach", "--env=pendulum", "--credit=0.2", "--speed", "0.5"],
         ["-m", "benchmarks.teaching"],
-        ["-m", "mkdocs", "build", "--strict", "--quiet"],
+        ["-m", "mkdocs", "build", "--strict"],
     ]
 
 

@@ -53,7 +53,8 @@ def kernel_policy() -> Figure:
     places = random.uniform(-1.3, 1.3, visits[-1])
     states = [taught(learner, places[:number]) for number in visits]
     with style.publication():
-        figure, axes = style.panels([f"{count} corrections" for _, count in states], columns=4)
+        figure, axes = style.panels([f"{count} corrections" for _, count in states])
+        figure.set_figwidth(6.2)
         for axis, (state, _) in zip(axes, states, strict=True):
             seen = look(learner, state, X[:, None])
             spread = 1.96 * seen["sigma_policy"]

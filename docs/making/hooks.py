@@ -39,7 +39,8 @@ _OUTWARD = re.compile(r'(?:href|src)="(https?://[^"]+)"')
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages of `FROM_ELSEWHERE` and `MADE`, their pictures, and a page for each file of source linked to."""
     for page, source in FROM_ELSEWHERE.items():
-        files.append(File.generated(config, page, content=(ROOT / source).read_text()))
+        front = "---\nhide: [navigation]\n---\n" if page == "index.md" else ""
+        files.append(File.generated(config, page, content=front + (ROOT / source).read_text()))
     for folder, endings in BESIDE.items():
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in endings:

@@ -52,6 +52,9 @@ def evaluate(env: Any, policy: Any, starts: Any = 100) -> Returns:
             with a numpy array, at each step once for each start, in their order.
         starts: a whole number from 1 to 1,000,000.
 
+    Returns:
+        `returns` (starts,), the sum of each episode's rewards in the task's unit, and `length` (starts,), its steps.
+
     Raises:
         ValueError: no task, no function, another number of starts, actions of another shape or type, or a task whose
             states have other shapes or types than it declares.

@@ -50,7 +50,8 @@ def _after_extending(names, everything):
     # What was said about a step that the sweep's episode has, is learned there; the robot's went on for longer.
     length = rows["replayed"]["length"].item()
     given = (read_advice("robot.jsonl")[0] != 0).any(axis=-1)
-    assert rows["replayed"]["corrections"].sum() == given[:length].sum() and given.sum() > 0
+    corrections = rows["replayed"]["corrections"].sum()
+    assert given[: length - 1].sum() <= corrections <= given[:length].sum() and given.sum() > 0
 
 
 def _after_comparing(names, everything):
