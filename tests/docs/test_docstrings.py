@@ -33,6 +33,10 @@ def test_a_class_documents_its_fields_and_methods(name):
             assert inspect.getdoc(getattr(found, method)), method
 
 
-def test_help_begins_with_what_gpcjax_is():
-    assert gpcjax.__doc__.startswith("Teach continuous controllers by corrective advice")
+def test_help_says_what_there_is():
+    """Each public name, and none that there is not."""
+    text = gpcjax.__doc__
+    assert text.startswith("Teach continuous controllers by corrective advice")
+    table = "".join(line for line in text.splitlines() if line.startswith("|"))
+    assert {*re.findall(r"`(\w+)`", table)} == {*gpcjax.__all__}
     assert set(gpcjax.__all__) <= set(dir(gpcjax))
