@@ -6,6 +6,7 @@ to that page; one to a file of source leads to a page that shows the file.
 
 import posixpath
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -27,6 +28,9 @@ FROM_ELSEWHERE = {
 BESIDE = {"benchmarks": (".png",)}
 """Folder of the repository -> the endings of its files that pages from there show."""
 
+HOME = "---\nhide: [navigation]\n---\n"
+"""What the first page begins with."""
+
 MADE = {"reference/commands.md": flags.page, "reference/columns.md": columns.page}
 """Page of the site -> what writes it."""
 
@@ -38,36 +42,32 @@ _OUTWARD = re.compile(r'(?:href|src)="(https?://[^"]+)"')
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages of `FROM_ELSEWHERE` and `MADE`, their pictures, and a page for each file of source linked to."""
+
+    def add(uri: str, **of: str) -> None:
+        files.append(File.generated(config, uri, **of))
+
     for page, source in FROM_ELSEWHERE.items():
-        front = "---\nhide: [navigation]\n---\n" if page == "index.md" else ""
-        files.append(File.generated(config, page, content=front + (ROOT / source).read_text()))
+        add(page, content=(HOME if page == "index.md" else "") + (ROOT / source).read_text())
     for folder, endings in BESIDE.items():
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in endings:
-                files.append(File.generated(config, f"{folder}/{path.name}", abs_src_path=str(path)))
+                add(f"{folder}/{path.name}", abs_src_path=str(path))
     for page, write in MADE.items():
-        files.append(File.generated(config, page, content=write()))
-    shown = set()
-    for file in list(files.documentation_pages()):
+        add(page, content=write())
+    for file in [*files.documentation_pages()]:
         for path in linked(file.content_string, place_of(file.src_uri)):
-            if path not in shown and (ROOT / path).is_file() and _is_source(path, files):
-                shown.add(path)
-                files.append(File.generated(config, _page_of(path), content=_as_page(path)))
+            if (ROOT / path).is_file() and in_site(path, files) is None:
+                add(_page_of(path), content=_as_page(path))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Each link as it is in the site."""
-    here = place_of(page.file.src_uri)
+    """Each link as it is in the site; one that leads nowhere is left to mkdocs, which warns of it."""
+    here, folder = place_of(page.file.src_uri), posixpath.dirname(page.file.src_uri) or "."
 
     def within(link: re.Match[str]) -> str:
-        path = _resolved(here, link[1])
-        if files.get_file_from_path(page.file.src_uri) and not (ROOT / path).exists():
-            return link[0]
-        target = _in_site(path, files)
-        if target is None:
-            return link[0]
-        return posixpath.relpath(target, posixpath.dirname(page.file.src_uri) or ".") + (link[2] or "")
+        target = in_site(_resolved(here, link[1]), files)
+        return link[0] if target is None else posixpath.relpath(target, folder) + (link[2] or "")
 
     return outside_code(markdown, lambda text: _LINK.sub(within, text))
 
@@ -100,7 +100,7 @@ def linked(markdown: str, here: str) -> list[str]:
     return paths
 
 
-def outside_code(markdown: str, change) -> str:
+def outside_code(markdown: str, change: Callable[[str], str]) -> str:
     """The text with `change` applied to what is in no fenced block."""
     parts = re.split(r"(^```.*?^```[^\S\n]*$)", markdown, flags=re.MULTILINE | re.DOTALL)
     return "".join(part if part.startswith("```") else change(part) for part in parts)
@@ -110,20 +110,13 @@ def _resolved(here: str, link: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(here), link))
 
 
-def _in_site(path: str, files: Files) -> str | None:
+def in_site(path: str, files: Files) -> str | None:
     """Where the site has a file of the repository; None where it has it not."""
-    for page, source in FROM_ELSEWHERE.items():
-        if path == source:
-            return page
-    within = path.removeprefix("docs/")
-    for candidate in (within, _page_of(path)):
+    made = (page for page, source in FROM_ELSEWHERE.items() if source == path)
+    for candidate in (*made, path.removeprefix("docs/"), _page_of(path)):
         if files.get_file_from_path(candidate):
             return candidate
     return None
-
-
-def _is_source(path: str, files: Files) -> bool:
-    return _in_site(path, files) is None
 
 
 def _page_of(path: str) -> str:
