@@ -28,8 +28,13 @@ FROM_ELSEWHERE = {
 BESIDE = {"benchmarks": (".png",)}
 """Folder of the repository -> the endings of its files that pages from there show."""
 
-HOME = "---\nhide: [navigation]\n---\n"
-"""What the first page begins with."""
+WITHOUT = {
+    "index.md": ["navigation"],
+    "benchmark.md": ["navigation"],
+    "reproduction/README.md": ["navigation"],
+    "thesis.md": ["toc"],
+}
+"""Page of the site -> what is not beside it, so that its tables have room."""
 
 MADE = {"reference/commands.md": flags.page, "reference/columns.md": columns.page}
 """Page of the site -> what writes it."""
@@ -47,7 +52,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, uri, **of))
 
     for page, source in FROM_ELSEWHERE.items():
-        add(page, content=(HOME if page == "index.md" else "") + (ROOT / source).read_text())
+        add(page, content=(ROOT / source).read_text())
     for folder, endings in BESIDE.items():
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in endings:
@@ -64,6 +69,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Each link as it is in the site; one that leads nowhere is left to mkdocs, which warns of it."""
     here, folder = place_of(page.file.src_uri), posixpath.dirname(page.file.src_uri) or "."
+    if page.file.src_uri in WITHOUT:
+        page.meta["hide"] = WITHOUT[page.file.src_uri]
 
     def within(link: re.Match[str]) -> str:
         target = in_site(_resolved(here, link[1]), files)
