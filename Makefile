@@ -90,8 +90,8 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture dist lint format
-.PHONY: lock clean
+.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture
+.PHONY: docs dist lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
 	@sed -n -e 's/^#: \{0,1\}//p' Makefile
@@ -138,10 +138,18 @@ $(BROWSER): | $(READY)
 		echo 'no Chromium here (Debian: apt install chromium): the tests in a browser do not run' >&2
 	@touch $@
 
-test: $(READY) $(BROWSER) ## run one good test of each thing (ARGS=-k NAME)
+test: $(READY) $(BROWSER) ## run one good test of each thing (ARGS='-k NAME')
 	$(call with_args,.venv/bin/python -m pytest -n 2)
 
-test-all: $(READY) $(BROWSER) ## run every test: further learners, tasks, sizes, whole pages
+# What makes the site, beside all else in .venv: setting that up takes no longer for those who read it elsewhere.
+DOCS := .venv/.docs
+$(DOCS): requirements-docs.lock | $(READY)
+	@$(PIP) install --require-hashes --only-binary :all: -r requirements-docs.lock && touch $@
+
+docs: $(READY) $(DOCS) ## build the site into site/ (open site/index.html)
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
+
+test-all: $(READY) $(BROWSER) $(DOCS) ## run every test: further learners, tasks, sizes, whole pages
 	$(call with_args,.venv/bin/python -m pytest -n 2 --all)
 
 torture: $(READY) ## spoil hundreds of run folders, kill hundreds of sweeps, and see that nothing is lost
@@ -159,10 +167,13 @@ format: $(READY) ## write the code in its one style
 
 lock: $(READY) ## write requirements.lock anew (ARGS=--upgrade for newer versions)
 	$(call with_args,.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
-		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster --extra mujoco --extra onnx pyproject.toml -o requirements.lock)
+		--only-binary :all: --quiet --custom-compile-command 'make lock' --group dev --extra teach --extra tune --extra cluster \
+		--extra mujoco --extra onnx pyproject.toml -o requirements.lock)
+	$(call with_args,.venv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
+		--only-binary :all: --quiet --custom-compile-command 'make lock' --group docs --constraint requirements.lock -o requirements-docs.lock)
 
-clean: ## remove .venv and all caches, no results
-	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+clean: ## remove .venv, the site and all caches, no results
+	rm -rf .venv site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 # Set up once: again only if the lock or pyproject.toml is newer, or .venv has lost its Python. What is wrong with a

@@ -34,46 +34,81 @@ ROOT = Path(__file__).parents[1]
 README, RECORD = ROOT / "README.md", ROOT / "docs" / "published.json"
 PAGES = ROOT / "docs" / "reproduction"
 
-BLOCKS = ("caption", "results", "claims")
-"""Of README, each between its marks."""
+THESIS = ROOT / "docs" / "thesis.md"
+BLOCKS = {
+    README: ("caption", "verdicts"),
+    THESIS: ("verdicts", "claims"),
+    ROOT / "docs" / "results.md": ("results",),
+}
+"""What is written into which page, each between its marks."""
+
+OF_A_WHOLE = ("verdicts", "claims")
+"""Blocks that only a reproduction of which nothing is missing can make."""
 
 NAMES = {"cartpole": "Cart-pole", "pendulum": "Pendulum", "lander": "Lunar lander"}
 
 
 def publish(folder: Path) -> None:
-    """Writes README's blocks, docs/cartpole.png, the record of them, and docs/reproduction if nothing is missing."""
-    results, text = results_of(folder), README.read_text()
+    """Writes the pages' blocks, docs/cartpole.png, the record of them, and docs/reproduction if nothing is missing."""
+    results = results_of(folder)
     if "cartpole" not in results:
         raise SystemExit(
             f"{folder}: there is no finished reproduction of the cart-pole, run make reproduce first"
         )
-    lacking = [name for name in BLOCKS if f"<!-- {name} -->\n" not in text or f"<!-- /{name} -->" not in text]
-    if lacking:
-        raise SystemExit(f"README.md has no marks for {', '.join(lacking)}")
+    for place, names in BLOCKS.items():
+        text = place.read_text()
+        lacking = [
+            name for name in names if not re.search(rf"<!-- {name} -->\n.*<!-- /{name} -->", text, re.DOTALL)
+        ]
+        if lacking:
+            raise SystemExit(f"{place.name} has no marks for {', '.join(lacking)}")
     missing = [name for name in specifications() if name not in results]
     if missing:
-        print(
-            f"docs/reproduction and README's claims stay: {', '.join(missing)} not run yet", file=sys.stderr
-        )
+        print(f"docs/reproduction and the claims stay: {', '.join(missing)} not run yet", file=sys.stderr)
     else:
         _pages(folder)
     picture = curves.learning_curves(results["cartpole"].summary)
     write_atomic(ROOT / "docs" / "cartpole.png", style.image(picture.figure, "png"))
-
-    blocks = {
-        "caption": f"{picture.caption} The first command below draws it.\n",
-        "results": _results(results),
-        "claims": (PAGES / "claims.md").read_text(),
-    }
-    for name, block in blocks.items():
-        text = re.sub(
-            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
-            lambda marks, block=block: marks[1] + block + marks[2],
-            text,
-            flags=re.DOTALL,
-        )
-    write_atomic(README, text)
+    write_blocks(
+        {
+            "caption": f"{picture.caption} The first command below draws it.\n",
+            "results": _results(results),
+            "verdicts": verdicts(),
+            "claims": (PAGES / "claims.md").read_text(),
+        }
+    )
     write_atomic(RECORD, json.dumps(_record(results), indent=1) + "\n")
+
+
+def write_blocks(blocks: Mapping[str, str]) -> None:
+    """Writes these between their marks, on every page that has them."""
+    for place, names in BLOCKS.items():
+        text = place.read_text()
+        for name in names:
+            if name in blocks:
+                text = re.sub(
+                    rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
+                    lambda marks, block=blocks[name]: marks[1] + block + marks[2],
+                    text,
+                    flags=re.DOTALL,
+                )
+        write_atomic(place, text)
+
+
+def verdicts() -> str:
+    """How many claims hold, and which do not under any condition: as docs/reproduction has it."""
+    counted = re.search(r"^Of \d+ claims .*$", (PAGES / "README.md").read_text(), re.MULTILINE)
+    if counted is None:
+        raise SystemExit("docs/reproduction/README.md does not say how many claims hold")
+    rows = [line.strip("| ").split(" | ") for line in (PAGES / "claims.md").read_text().splitlines()[2:]]
+    lines = [counted[0], ""]
+    for verdict in ("refuted", "not shown"):
+        lines += [
+            f"- {verdict}: {text} ({section})"
+            for section, text, found, *_ in rows
+            if found == f"**{verdict}**"
+        ]
+    return "\n".join(lines) + "\n"
 
 
 def _pages(folder: Path) -> None:
@@ -90,16 +125,17 @@ def _pages(folder: Path) -> None:
 
 
 def published_files(whole: bool) -> dict[str, str]:
-    """SHA-256 of what is made here, by its path; of README of the text between each pair of marks.
+    """SHA-256 of what is made here, by its path; of a page of `BLOCKS`, of the text between each pair of marks.
 
     Without a `whole` reproduction docs/reproduction and the claims are not made, and stay as they are.
     """
     pages = sorted(path for path in PAGES.rglob("*") if path.is_file()) if whole else []
     files = [ROOT / "docs" / "cartpole.png", *pages]
     sums = {str(path.relative_to(ROOT)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
-    for name, block in re.findall(r"<!-- (\w+) -->\n(.*?)<!-- /\1 -->", README.read_text(), re.DOTALL):
-        if whole or name != "claims":
-            sums[f"README.md: {name}"] = hashlib.sha256(block.encode()).hexdigest()
+    for place in BLOCKS:
+        for name, block in re.findall(r"<!-- (\w+) -->\n(.*?)<!-- /\1 -->", place.read_text(), re.DOTALL):
+            if whole or name not in OF_A_WHOLE:
+                sums[f"{place.relative_to(ROOT)}: {name}"] = hashlib.sha256(block.encode()).hexdigest()
     return sums
 
 
@@ -122,7 +158,9 @@ def fingerprint(results: Mapping[str, Experiment]) -> str:
         summary = experiment.summary
         texts += map(repr, result_sheets(summary) + difference_sheets(summary))
         texts += [*reading(summary), curves.learning_curves(summary).caption]
-    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:12]
+    # To six digits: the last ones are those of the processor, which is not what has become stale.
+    rounded = re.sub(r"\d+\.\d+(e[-+]\d+)?", lambda number: f"{float(number[0]):.6g}", "\n".join(texts))
+    return hashlib.sha256(rounded.encode()).hexdigest()[:12]
 
 
 def fixed_data() -> dict[str, Experiment]:

@@ -1,5 +1,22 @@
 """Teach continuous controllers by corrective advice: GPC, GPC-NS and COACH, batched on JAX.
 
+    learner = gpcjax.make_learner("gpc", "cartpole")
+    state = learner.init()
+    action = learner.act(state, obs)  # obs (4,) -> (1,), in [-1, 1]
+    state, info = learner.correct(state, obs, action, [1.0])  # "more"; -1 is "less", 0 no advice
+
+| To                         | there are                                                                       |
+|----------------------------|---------------------------------------------------------------------------------|
+| make something by its name | `make_learner`, `make_env`, `make_expert`, `make_oracle`, `gym_env`, `brax_env` |
+| know the names             | `learner_names`, `env_names`, `expert_names`, `teacher_names`                   |
+| teach in one's own program | `Session`, or the methods of a `Learner` with its `Info`; `evaluate`            |
+| keep what was learned      | `save_policy`, `load_policy`, `save_learner`, `load_learner`                    |
+| run many, and read them    | `run_sweep`, `load`, `load_corrections`, `load_policies`, `load_states`         |
+| see what came of it        | `draw_report`, `compare`                                                        |
+| write a task               | `Env` with its `State`, `HostEnv`, `parameter`                                  |
+| write a learner, a teacher | `Learner`, `Controller`; `Teacher`, `Moment`, `Oracle`                          |
+| describe one               | `TaskSpec`, `View`, `Control`; `LearnerSpec`, `TeacherSpec`, `Setting`          |
+
 `import gpcjax` itself loads no jax: a public name loads what it needs when it is first used, and the first one
 switches jax to float64. `load_policy` loads no jax either; float64 is on there as soon as anything imports it.
 """

@@ -81,7 +81,12 @@ Key = Literal["left", "right", "up", "down"]
 
 @dataclass(frozen=True)
 class Control:
-    """How a person says less or more of one dimension of an action: which arrow means it, and what it does in words."""
+    """How a person says less or more of one dimension of an action.
+
+    | Field          | Meaning                                                    |
+    |----------------|------------------------------------------------------------|
+    | `less`, `more` | which arrow means it ("left"), and what it does in words   |
+    """
 
     less: tuple[Key, str]
     more: tuple[Key, str]

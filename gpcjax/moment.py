@@ -10,6 +10,7 @@ class Moment(eqx.Module):
     """One step; a block of lanes has them as the LAST axis of every field."""
 
     obs: Float[Array, "obs *lanes"]
+    """What was seen."""
     action: Float[Array, "action *lanes"]
     """What was executed there, in [-1, 1]."""
     episode: Int[Array, "*lanes"]

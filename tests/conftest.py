@@ -107,11 +107,10 @@ COMPILED_PLAINLY = (
     "teach/test_lesson.py",
     "teach/test_taught.py",
     "teachers/",
-    "test_extending.py",
+    "docs/",
     "test_foreign.py",
     "test_pickle.py",
     "test_public.py",
-    "test_readme.py",
     "test_settings.py",
 )
 """Modules for which XLA need not do its best: what they say is about numbers within a tolerance, or about the bits of
@@ -120,6 +119,7 @@ one program. It compiles in half of the time. Others look at programs, compare b
 
 LONGEST = (
     "teach/test_browser.py",
+    "docs/test_snippets.py",
     "sweep/test_sweeps.py",
     "engine/test_keeping.py",
     "learners/test_gpc.py",
@@ -144,14 +144,12 @@ LONGEST = (
     "engine/test_host_pool.py",
     "report/test_run.py",
     "sweep/test_start.py",
-    "test_extending.py",
     "teach/test_from.py",
     "teach/test_lesson.py",
     "teach/test_taught.py",
     "engine/test_late.py",
     "engine/test_rollout.py",
     "sweep/test_inprocess.py",
-    "test_readme.py",
     "test_stopping.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""

@@ -56,6 +56,9 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
         starts: a whole number from 1 to 1,000,000.
         seed: of the first start, a whole number from 0 to 1,000,000,000.
 
+    Returns:
+        `returns` (starts,), the sum of each episode's rewards in the task's unit, and `length` (starts,), its steps.
+
     Raises:
         ValueError: no task, no function, another number of starts, another seed, actions of another shape or type, or
             a task whose states have other shapes or types than it declares.

@@ -176,9 +176,15 @@ def _form(value: Any) -> str:
 
 @under_own_settings
 def parameter(value: Any) -> Float[Array, "*lanes"]:
-    """Converter of a physical parameter: a float64 array leaf. Raises ValueError for what is no real number.
+    """Converter of a field that is a number (`eqx.field(converter=gpcjax.parameter)`): a float64 array leaf, ().
 
     It has lanes where a module of several, whose fields are converted once more, is replaced.
+
+    Args:
+        value: a number, or an array of them; in whatever unit the field has.
+
+    Raises:
+        ValueError: it is no real number.
     """
     if converted(float, value) is None and not holds_numbers(value):
         raise UserError(f"a physical parameter is {shown(value)}: give a number")

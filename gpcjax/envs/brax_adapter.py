@@ -75,8 +75,14 @@ def _strong(leaf: Any) -> Array:
 def brax_env(env: Any, *, max_steps: Any = 1000, name: Any = None, **arguments: Any) -> BraxEnv:
     """Adapt a brax environment, given as an instance or as the name that brax knows it by.
 
-    Arguments: `env`; `max_steps`, after which an episode is truncated; `name`, by default brax's name or the name of
-    the class; further ones go to the brax constructor (`backend="spring"`) and need `env` to be a name.
+    Args:
+        env: the environment, or its name.
+        max_steps: after which an episode is truncated.
+        name: under which results are kept; by default brax's name or the name of the class.
+        **arguments: of the brax constructor (`backend="spring"`); `env` is then a name.
+
+    Returns:
+        A task with observations (obs_size,), actions (action_size,) in [-1, 1] and `time_step` in seconds.
 
     Raises:
         ValueError: an unknown name, arguments beside an instance, an instance wrapped for brax's own training (those

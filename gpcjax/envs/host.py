@@ -52,7 +52,9 @@ class HostEnv:
     max_steps: int | None
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
+    """Numbers of an observation."""
     action_size: int = field(init=False)
+    """Dimensions of an action, each in [-1, 1]."""
     time_step: float | None = field(init=False, compare=False, repr=False)
     """Seconds of a step: `dt` of the environment, or what its frames a second say; None if it says neither."""
     _centre: Float[np.ndarray, " action"] = field(init=False, compare=False, repr=False)

@@ -35,6 +35,9 @@ def env_names() -> tuple[str, ...]:
 def expert_names(env_name: str) -> tuple[str, ...]:
     """The names of a task's experts, for `make_expert` and `make_oracle`; the default comes first.
 
+    Args:
+        env_name: as `make_env` takes it.
+
     Raises:
         ValueError: an unknown task.
     """
@@ -61,10 +64,15 @@ def make_env(env_name: str, /, **parameters: Any) -> "Env": ...
 def make_env(env_name: str, /, **parameters: Any) -> "Env | HostEnv":
     """Build a task by name, with other physical parameters if given (`make_env("cartpole", pole_mass=0.2)`).
 
-    A name is one of `env_names()`, `module:NAME` for a task of one's own, `gym:ID` (gymnasium), or `brax:NAME`.
-    "lunarlander" and the tasks of gymnasium are simulated on the host: a `gpcjax.envs.host.HostEnv`.
+    Cart-pole, pendulum and mountain car have gymnasium's equations (the cart-pole with a continuous force, 4.2.2).
 
-    Parameters are numbers (numpy's too), or what jax traces; `max_steps` is a whole number.
+    Args:
+        env_name: one of `env_names()`, `module:NAME` for a task of one's own, `gym:ID` (gymnasium), or `brax:NAME`.
+        **parameters: numbers (numpy's too), or what jax traces, in SI units; `max_steps` is a whole number.
+
+    Returns:
+        A task with observations (obs_size,) and actions (action_size,) in [-1, 1]; a step takes `time_step` seconds,
+        where it has a unit of time. "lunarlander" and the tasks of gymnasium are simulated on the host: a `HostEnv`.
 
     Raises:
         ValueError: an unknown task or parameter, or a value that the task refuses.

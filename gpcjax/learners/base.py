@@ -50,7 +50,9 @@ class Learner(ByIdentity):
     """
 
     obs_size: int = eqx.field(static=True, kw_only=True)
+    """Numbers of an observation."""
     action_size: int = eqx.field(static=True, kw_only=True)
+    """Dimensions of an action, each in [-1, 1]."""
 
     joint: ClassVar[bool] = True
     """One call of `learn` takes all action dimensions. Otherwise `_correct` takes them one after the other, and every
@@ -89,7 +91,11 @@ class Learner(ByIdentity):
         return {}
 
     def act(self, state: State, obs: Vector) -> Float[Array, " action"]:
-        """The action at `obs` (obs_size,), in [-1, 1] (action_size,)."""
+        """The action at `obs` (obs_size,), in [-1, 1] (action_size,).
+
+        Raises:
+            ValueError: `obs` has another shape, or holds no real numbers.
+        """
         return compiled.act(self, state, vector("obs", obs, self.obs_size, _TAKER))
 
     def policy_of(self, state: State) -> Policy:
@@ -101,7 +107,11 @@ class Learner(ByIdentity):
         return Policy(self.controller(state))
 
     def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
-        """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH."""
+        """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH.
+
+        Raises:
+            ValueError: `obs` is not (obs_size,), `action` not (action_size,), or they hold no real numbers.
+        """
         obs = vector("obs", obs, self.obs_size, _TAKER)
         return compiled.uncertainty(self, state, obs, vector("action", action, self.action_size, _TAKER))
 

@@ -54,6 +54,8 @@ def make_learner(
 ) -> Learner:
     """A learner with the hyperparameters of the thesis for `env`, or for a task of one's own.
 
+    GPC and GPC-NS are Alg. 2 with SPARS (Alg. 3) of the thesis, COACH is its Alg. 1, D-COACH arXiv:1810.00466.
+
     Args:
         algo: "gpc", "gpc-ns", "coach" or "d-coach", one that an installed package registers, or `module:NAME`.
         env: a task's name, as `make_env` takes it: its sizes, and its presets (Tables 5.1 to 5.3 and A.1 for

@@ -65,6 +65,9 @@ def save_learner(path: Any, learner: Any, state: State, **provenance: Any) -> No
 def load_learner(path: Any) -> tuple[Learner, State]:
     """The learner and the state that `save_learner` wrote: corrections go on to the bit as if nothing had been between.
 
+    Args:
+        path: the folder that `save_learner` wrote.
+
     Raises:
         ValueError: there is no learner at `path`, one of another format, or one that is damaged; the message names the
             file.

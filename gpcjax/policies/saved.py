@@ -72,6 +72,9 @@ def load_policy(path: Any) -> Policy:
 
     It may be called directly, which loads no jax (see `Policy`), or inside jit and vmap.
 
+    Args:
+        path: the folder that `save_policy` wrote.
+
     Raises:
         ValueError: there is no policy at `path`, one of another format, or one that is damaged; the message names the
             file.

@@ -168,6 +168,10 @@ def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:
         folders: two run folders or more, of this or an earlier version of gpcjax.
         by: names of settings in which groups may differ that have no partner of the same settings.
 
+    Returns:
+        The differences with their intervals as tables (`differences_table`, in the units of a return), what the folders
+        differ in (`notes`), and `save(out)`, which writes tables, figures and a page.
+
     Raises:
         ValueError: fewer than two folders, one that is none or is given twice, tasks that differ, settings of `by`
             that none of them varies, no group in common, no seed in common.

@@ -35,6 +35,9 @@ def draw(out: Any, anew: Any = True, refresh: Any = 0) -> Summary:
         anew: draw also what was drawn before of the same rows, and lies there as it was written. True or False.
         refresh: seconds after which a browser that shows the page loads it anew; 0 for never.
 
+    Returns:
+        The numbers of the report (`rows`, `differences`), and the `files` that were written.
+
     Raises:
         UserError: `out` holds no store, no episode yet or none that is whole, or nothing can be written there.
     """

@@ -152,6 +152,11 @@ def make_oracle(
         delta: it is silent this near to its target, in units of the action.
         active_gain: c_a of (3.6); 0 is no active learning.
 
+    Returns:
+        What advises: `advise(key, obs, action)` is h (action_size,), each -1, 0 or 1, for obs (obs_size,) and an action
+        in [-1, 1] (action_size,); it consumes `key`, and with `active_gain` wants `sigma_human` as well. `target(obs)`
+        is the expert's action.
+
     Raises:
         ValueError: an unknown name, or a number out of range.
     """

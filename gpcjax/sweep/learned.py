@@ -43,6 +43,9 @@ def load_states(out: Any, /, **where: Any) -> pd.DataFrame:
     dictionary has room for as many points again as it holds. A learner of one's own is made by its module, which must
     be found.
 
+    Args:
+        out, **where: as `load_policies` takes them.
+
     Raises:
         ValueError: as `load_policies`.
     """

@@ -80,6 +80,9 @@ def load(out: Any) -> pd.DataFrame:
     Rows are ordered by algo, oracle, error, the settings that vary, seed, episode. Parts that are damaged are left out
     with a warning (`UserWarning`), and so is what is not of this sweep. A sweep may be writing there meanwhile.
 
+    Args:
+        out: the run folder.
+
     | column | type | unit | what |
     |---|---|---|---|
     | env, algo, oracle | str | | the task, who learned, whose actions the teacher aimed at |
@@ -109,6 +112,9 @@ def load_corrections(out: Any) -> pd.DataFrame:
 
     A correction of several action dimensions has a row for each. Rows are ordered as those of `load`, then by step and
     action dimension; what is damaged or foreign is treated as there.
+
+    Args:
+        out: the run folder.
 
     | column | type | unit | what |
     |---|---|---|---|

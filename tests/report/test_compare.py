@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,6 @@ from gpcjax.sweep.sealing import Origin, sealed
 from tests.report import synthetic
 
 LP = "policy_length_scale"
-ROOT = Path(__file__).parents[2]
 FILES = {"comparison.csv", "profiles.csv", "alone.csv", "comparison.png", "comparison.pdf", "comparison.html"}
 
 
@@ -255,16 +253,6 @@ def test_names_tell_folders_apart(tmp_path):
     assert str(usual_out(["x/run", "other"])) == "runs/compare-x-run-other"
     long = [usual_out([f"{letter * 80}", "b" * 80]).name for letter in "ac"]
     assert len(set(long)) == 2 and all(len(name) < 50 for name in long)
-
-
-def test_the_python_of_the_page(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name, given in (("narrow", {LP: 0.1}), ("wide", {LP: 0.4})):
-        folder(tmp_path / "runs" / name, given=given)
-    (python,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/comparing.md").read_text(), re.DOTALL)
-    names: dict[str, object] = {}
-    exec(compile(python, "docs/comparing.md", "exec"), names)
-    assert {path.name for path in names["files"]} == FILES
 
 
 class TestSaved:

@@ -6,16 +6,15 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from gpcjax import cli
-from gpcjax.cli.words import parse_words, settings
 from gpcjax.report.figures import style
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.tune import carrying_out
+from tests.docs.pages import ROOT, blocks
 from tests.sweep.folders import begun
 from tests.tune.landscape import Landscape
 
@@ -249,25 +248,14 @@ def test_checking_needs_the_standard_library_alone():
     )
 
 
-def test_the_page_of_the_docs(workers, tmp_path, capsys):
-    """docs/tuning.md: its commands run as they stand, its files of settings are understood."""
-    text = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
+def test_the_page_of_the_docs(workers, tmp_path):
+    """docs/tuning.md: its search runs as it stands, and leaves what is said there."""
+    page = ROOT / "docs" / "tuning.md"
     workers(Landscape())
-    tomls = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
-    assert len(tomls) == 2
-    for number, toml in enumerate(tomls):
-        path = tmp_path / f"{number}.toml"
-        path.write_text(toml)
-        assert cli.main(["tune" if "[tune]" in toml else "sweep", str(path), "--dry-run"]) == 0
-    commands, likely = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
-    for line in likely.splitlines():  # which takes minutes: tests/tune/test_likelihood.py has a smaller one
-        settings(parse_words(shlex.split(line)[1:]))
-    search, further = commands.replace("\\\n", "").splitlines()
-    program, *words = shlex.split(search)
-    assert program == "gpcjax" and cli.main(words) == 0
-    assert cli.main([*shlex.split(further)[1:], "--dry-run"]) == 0
-    for name in re.findall(
-        r"^\| `([^`]+)`", text[text.index("## What it leaves") : text.index("## Points of")], re.MULTILINE
-    ):
+    search = next(block.commands[0] for block in blocks(page) if block.language == "sh")
+    assert cli.main(shlex.split(search)[1:]) == 0
+    text = page.read_text()
+    left = text[text.index("## What it leaves") : text.index("## Points of")]
+    for name in re.findall(r"^\| `([^`]+)`", left, re.MULTILINE):
         if "rung" not in name:
             assert (tmp_path / "runs" / "tuned" / name).exists()

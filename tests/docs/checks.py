@@ -1,0 +1,70 @@
+"""What is there before a page's commands are typed, and what has to be there after them."""
+
+import re
+from pathlib import Path
+
+from PIL import Image
+
+from gpcjax.sweep.layout import MANIFEST
+from gpcjax.sweep.reading import read_episodes
+from gpcjax.teachers.replay import read_advice
+from tests.docs.pages import ROOT, blocks
+from tests.report.test_compare import folder as study
+
+
+def _before_comparing():
+    for name, given in (("narrow", 0.1), ("wide", 0.4)):
+        study(Path("runs", name), given={"policy_length_scale": given})
+
+
+def _after_python(names, everything):
+    assert len(names["frame"]) == 2 * 2 * 2
+    for saved in ("policy", "taught"):
+        assert Path(str(names["folder"]), saved, "card.json").exists()
+
+
+def _after_keeping(names, everything):
+    assert Path("runs", "first", MANIFEST).exists()
+    for name in ("first", "play-corrected", "pump"):
+        with Image.open(f"runs/{name}.gif") as image:
+            assert image.n_frames > 5
+
+
+def _after_extending(names, everything):
+    """What is said to be short is; all files are used, and what a recording says is learned."""
+    files = {block.title: block.text for block in blocks(ROOT / "docs" / "extending.md") if block.title}
+    lines = {name: sum(bool(line.strip()) for line in text.splitlines()) for name, text in files.items()}
+    assert lines["mytask.py"] <= 25 and lines["mylearner.py"] <= 25 and lines["robot.py"] <= 50
+    assert (read_episodes(Path("runs/described"))["status"] == "ok").all()
+    assert Path("runs/described/report.html").exists()
+    if not everything:
+        return
+    commands = "".join(
+        block.text for block in blocks(ROOT / "docs" / "extending.md") if block.language == "sh"
+    )
+    outs = re.findall(r"--out runs/(\w+)", commands)
+    rows = {out: read_episodes(Path("runs", out)) for out in outs}
+    assert {(frame["status"] == "ok").all() for frame in rows.values()} == {True} and len(rows) >= 7
+    assert set(rows["linear"]["algo"]) == {"gpc-ns", "mylearner:Linear"}
+    assert rows["late"].groupby("delay")["corrections"].sum().gt(0).all()
+    # What was said about a step that the sweep's episode has, is learned there; the robot's went on for longer.
+    length = rows["replayed"]["length"].item()
+    given = (read_advice("robot.jsonl")[0] != 0).any(axis=-1)
+    corrections = rows["replayed"]["corrections"].sum()
+    assert given[: length - 1].sum() <= corrections <= given[:length].sum() and given.sum() > 0
+
+
+def _after_comparing(names, everything):
+    written = {path.name for path in names["files"]}
+    table = re.findall(r"^\| `([\w.]+)`", (ROOT / "docs" / "comparing.md").read_text(), re.MULTILINE)
+    assert {*table} - {"alone.csv"} <= written
+
+
+BEFORE = {"docs/comparing.md": _before_comparing}
+AFTER = {
+    "docs/comparing.md": _after_comparing,
+    "docs/extending.md": _after_extending,
+    "docs/keeping.md": _after_keeping,
+    "docs/python.md": _after_python,
+}
+"""By the page; `everything` says that what is slow was run too."""

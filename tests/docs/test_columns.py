@@ -1,0 +1,45 @@
+"""The pages that are made from the program: the data dictionary and the command line."""
+
+import re
+
+import gpcjax
+from docs.making import columns, flags
+from gpcjax.cli.commands import COMMANDS
+from gpcjax.registry import built_in, find
+from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.rows import tables_of
+from gpcjax.sweep.spec import spec_of
+from tests.sweep.pretended import rows
+
+TABLES = {EPISODES: gpcjax.load, CORRECTIONS: gpcjax.load_corrections, KEPT: gpcjax.load_policies}
+
+
+def test_the_data_dictionary_has_the_columns_of_a_store():
+    """Every column of the files is in the table of whatever reads them, and none that there is not."""
+    cells = plan(spec_of(env="cartpole", algo=["gpc", "coach"], error=[0, 0.1], delta=[0.05, 0.1], seeds=1))
+    written = tables_of([rows(cell, kept=True) for cell in cells], ["delta"])
+    written[KEPT] = (
+        written[KEPT].drop_columns(["kind", "card", "arrays"]).append_column("policy", [[None] * len(cells)])
+    )
+    for folder, read in TABLES.items():
+        told = set(columns.tabled(read)) - {"...", "rate" if folder != CORRECTIONS else "advice_rate"}
+        assert told == {*written[folder].column_names}, folder
+
+
+def test_what_learners_measure_besides_is_told():
+    page = columns.page()
+    for name in built_in("learner"):
+        for column in find("learner", name).columns:
+            assert f"| `{column.name}` | {column.type} | `{name}` | {column.text} |" in page
+
+
+def test_every_flag_is_on_the_page_of_the_command_line():
+    page = flags.page()
+    assert re.findall(r"^## gpcjax (\S+)$", page, re.MULTILINE) == list(COMMANDS)
+    for name, command in COMMANDS.items():
+        part = page.partition(f"## gpcjax {name}\n")[2].partition("\n## ")[0]
+        told = set(re.findall(r"`(--[\w-]+)[ `]", part))
+        assert told >= {*command.names} - {"--help"}
+    statuses = page.partition("## Exit status")[2]
+    assert all(f"| {status} |" in statuses for status in ("0", "1", "2", "130, 143, 129", "141"))
