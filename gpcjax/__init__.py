@@ -10,7 +10,7 @@
 | make something by its name | `make_learner`, `make_env`, `make_expert`, `make_oracle`, `gym_env`, `brax_env` |
 | know the names             | `learner_names`, `env_names`, `expert_names`, `teacher_names`                   |
 | teach in one's own program | `Session`, or the methods of a `Learner` with its `Info`; `evaluate`            |
-| keep what was learned      | `save_policy`, `load_policy`, `save_learner`, `load_learner`                    |
+| keep what was learned      | `save_policy`, `load_policy`, `export_policy`, `save_learner`, `load_learner`   |
 | run many, and read them    | `run_sweep`, `load`, `load_corrections`, `load_policies`, `load_states`         |
 | see what came of it        | `draw_report`, `compare`                                                        |
 | write a task               | `Env` with its `State`, `HostEnv`, `parameter`                                  |

@@ -19,7 +19,11 @@ def page() -> str:
     overview = _table(
         ("command", ""), ((f"[`{name}`](#gpcjax-{name})", command.text) for name, command in COMMANDS.items())
     )
-    commands = (_command(name, command) for name, command in COMMANDS.items())
+    commands = (
+        _command(words, command)
+        for name, one in COMMANDS.items()
+        for words, command in ((name, one), *((f"{name} {part}", each) for part, each in one.parts.items()))
+    )
     return "\n\n".join([INTRODUCTION, overview, *commands, "## Exit status", _statuses()]) + "\n"
 
 

@@ -1,10 +1,12 @@
 """What is there before a page's commands are typed, and what has to be there after them."""
 
 import re
+import shutil
 from pathlib import Path
 
 from PIL import Image
 
+from gpcjax.policies.saved import shipped_path
 from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.teachers.replay import read_advice
@@ -60,11 +62,25 @@ def _after_comparing(names, everything):
     assert {*table} - {"alone.csv"} <= written
 
 
-BEFORE = {"docs/comparing.md": _before_comparing}
+def _before_policies():
+    shutil.copytree(shipped_path("cartpole"), "runs/pole")
+
+
+def _after_policies(names, everything):
+    """The policy, its ONNX, and its C, where a compiler is, say the same."""
+    said = [names["action"][0], names["actions"][0, 0]]
+    said += [float(names["printed"])] if "printed" in names else []
+    assert max(said) - min(said) < 1e-9
+    with Image.open("runs/pole.gif") as image:
+        assert image.n_frames > 5
+
+
+BEFORE = {"docs/comparing.md": _before_comparing, "docs/policies.md": _before_policies}
 AFTER = {
     "docs/comparing.md": _after_comparing,
     "docs/extending.md": _after_extending,
     "docs/keeping.md": _after_keeping,
+    "docs/policies.md": _after_policies,
     "docs/python.md": _after_python,
 }
 """By the page; `everything` says that what is slow was run too."""

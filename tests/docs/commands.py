@@ -67,7 +67,7 @@ class Typist:
             return
         more = ["--jobs=1"] if command in ON_ONE_CORE else []
         more += ["--dry-run"] if way == "check" else []
-        more += ["--seconds=0.5"] if command == "play" else []
+        more += ["--seconds=0.5"] if "play" in words[:1] or words[:2] == ["policy", "gif"] else []
         assert cli.main([*words, *more]) == 0, " ".join(words)
 
     def _python(self, words: Sequence[str], way: str) -> None:

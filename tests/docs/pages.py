@@ -8,6 +8,7 @@ A comment in the line above a block says how it is tested; readers do not see it
 | `slow` | as `run` where all tests are asked for, else as `check`; with `slow, words` as that |
 | `check` | commands as far as can be without running, by --dry-run (their default); Python is compiled; TOML is |
 |         | parsed, and checked where it is a file of settings (its default) |
+|         | C is compiled and run where there is a compiler (its default) |
 | `words` | words of commands are understood; what they name need not be there |
 | `not` | nothing is tested: its page says so |
 
@@ -31,7 +32,7 @@ PAGES = [
 ]
 """All of them, but for those that `mkdocs build` writes itself."""
 
-DEFAULTS = {"sh": "check", "python": "run", "toml": "check"}
+DEFAULTS = {"sh": "check", "python": "run", "toml": "check", "c": "run"}
 WAYS = {"run", "slow", "check", "words", "not"}
 NO_CODE = {"", "text"}
 

@@ -31,15 +31,20 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize("page", BY_NAME)
 def test_commands_and_flags_in_a_sentence_exist(page):
     """Of `gpcjax WORDS`, `make WORDS` and `--flag` between backticks."""
-    flags = {name for command in COMMANDS.values() for name in command.names} | {"--version"}
+    commands = [each for one in COMMANDS.values() for each in (one, *one.parts.values())]
+    flags = {name for command in commands for name in command.names} | {"--version"}
     targets = {*re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)}
     for code in inline_code(BY_NAME[page]):
         match code.removeprefix(".venv/bin/").split():
             case ["gpcjax", command, *words] if not command.isupper():
                 assert command in COMMANDS, f"{page}: {code}"
+                known = [COMMANDS[command]]
+                if known[0].parts and words:  # `eval|gif` are both
+                    assert {*words[0].split("|")} <= {*known[0].parts}, f"{page}: {code}"
+                    known = [known[0].parts[word] for word in words[0].split("|")]
                 for word in words:
                     if word.startswith("--"):
-                        assert word.partition("=")[0] in COMMANDS[command].names, f"{page}: {code}"
+                        assert all(word.partition("=")[0] in each.names for each in known), f"{page}: {code}"
             case ["make", target, *_] if not target.isupper():
                 assert target in targets, f"{page}: {code}"
             case [flag, *_] if re.fullmatch(r"--[a-z][a-z-]+", flag) and page != "benchmarks/README.md":

@@ -2,6 +2,8 @@
 
 import os
 import re
+import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -30,7 +32,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(place)
     monkeypatch.setattr(sys, "path", [*sys.path])
     # A window opens nowhere, and no lesson waits for a person.
-    monkeypatch.setattr("gpcjax.play.command.compute_here", lambda: None)
+    for command in ("gpcjax.play.command", "gpcjax.deploy.command"):
+        monkeypatch.setattr(f"{command}.compute_here", lambda: None)
     monkeypatch.setattr("gpcjax.play.showing.has_window", lambda: False)
     monkeypatch.setattr("gpcjax.teach.run.teach", lambda *words: 0)
     # Nothing of ours: a reader's own arrays are broadcast as jax does it.
@@ -74,6 +77,13 @@ def _take(block: Block, way: str, typist: Typist, names: dict[str, object]) -> N
         case "sh":
             for command in block.commands:
                 typist.type(command, way)
+        case "c" if way == "run":
+            Path("runs/main.c").write_text(block.text)
+            if shutil.which("cc"):
+                strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+                subprocess.run(["cc", *strict, "main.c", "-o", "main", "-lm"], check=True, cwd="runs")
+                done = subprocess.run(["runs/main"], check=True, capture_output=True, text=True)
+                names["printed"] = done.stdout
         case "toml":
             found = tomllib.loads(block.text)
             if {*found} & {*OPTIONS}:
@@ -86,7 +96,7 @@ def _take(block: Block, way: str, typist: Typist, names: dict[str, object]) -> N
                 text = text.replace(*SHORTER[block.page])
             code = compile("\n" * block.line + text, str(ROOT / block.page), "exec")
             if way == "run" and not block.title:
-                for package in re.findall(r"^import (polars|duckdb)\b", text, re.MULTILINE):
+                for package in re.findall(r"^import (polars|duckdb|onnxruntime)\b", text, re.MULTILINE):
                     pytest.importorskip(package)
                 exec(code, names)
 
