@@ -34,13 +34,13 @@ BUILD = "import sys; from flit_core import buildapi; print(getattr(buildapi, sys
 LOWEST_TESTS = """
     tests/deploy/test_export.py tests/deploy/test_policies_page.py tests/policies/test_plain.py
     tests/policies/test_saved.py
-    tests/engine/test_evaluate.py tests/envs/test_host.py tests/envs/test_brax_adapter.py tests/learners/test_gpc.py
+    tests/engine/test_evaluate.py tests/envs/test_host.py tests/envs/test_brax_adapter.py
     tests/learners/test_dcoach.py tests/report/test_statistics.py tests/report/test_figures.py tests/sweep/test_store.py
     tests/sweep/test_executables.py tests/teach/test_server.py tests/tune/test_tuning.py tests/cluster/test_ray.py
 """.split()
 """Some for each library: what reads, draws, compiles, simulates, serves, tunes and distributes."""
 
-TESTING = ("pytest", "hypothesis", "beartype", "scikit-learn", "flit_core")
+TESTING = ("pytest", "pytest-xdist", "hypothesis", "beartype", "scikit-learn", "flit_core")
 
 
 class Try(NamedTuple):
@@ -175,7 +175,7 @@ def lowest() -> None:
             r'"([A-Za-z0-9_-]+)(?:\[[^]]*\])? >=([0-9.]+)', (ROOT / "pyproject.toml").read_text()
         )
         versions = dict(line.split("==") for line in frozen.read_text().splitlines() if "==" in line)
-        for name, bound in named:
+        for name, bound in dict(named).items():
             if name in versions:
                 print(f"{name} >={bound}: {versions[name]}")
         # Old libraries say of newer ones that something there is deprecated.

@@ -13,6 +13,7 @@ from gpcjax.engine import streams
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.experts import LanderHeuristic
 from gpcjax.envs.host import HostEnv, Simulation, lunar_lander
+from gpcjax.envs.registry import make_env
 from tests.engine.host_tasks import host_drift
 
 
@@ -230,3 +231,13 @@ def test_evaluate_on_the_host() -> None:
     np.testing.assert_allclose(fallen.returns, [sum(step[8] for step in trace[1:]) for trace in still])
     np.testing.assert_array_equal(fallen.length, [len(trace) - 1 for trace in still])
     assert np.ptp(fallen.length) > 0
+
+
+@pytest.mark.slow
+def test_a_task_of_mujoco():
+    pytest.importorskip("imageio", reason="the extra mujoco is not installed")
+    env = make_env("gym:InvertedPendulum-v5")
+    assert isinstance(env, HostEnv) and (env.obs_size, env.action_size) == (4, 1)
+    found = evaluate(env, lambda obs: np.clip(2 * obs[1:2] + obs[3:4], -1, 1), 2)
+    # A reward of one for each step, but for the one in which it falls.
+    assert abs(np.asarray(found.returns) - found.length).max() <= 1 and found.length.min() > 10

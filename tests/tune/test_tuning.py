@@ -55,7 +55,7 @@ def tuned(folder):
 
 
 def table(folder):
-    return pd.read_csv(folder / "tune.csv")
+    return pd.read_csv(folder / "tune.csv", float_precision="round_trip")
 
 
 def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
