@@ -153,7 +153,8 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
             if is_seen(work)
             else _usual(work) * speed * (1 - work.done)
         )
-        of_free = work.steps_free / work.steps_left if work.steps else 1.0
+        # All may be stepped, and its rows not here yet: those of a worker that was lost are made again.
+        of_free = work.steps_free / work.steps_left if work.steps and work.steps_left else 1.0
         free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
         to_compile[index] = work.usual_compiling * compiling
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]

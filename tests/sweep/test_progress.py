@@ -174,6 +174,15 @@ def test_runs_that_stopped_are_over():
     assert work.steps_left == 0 and work.done == 1.0 and seconds_left([work], 1) == 0
 
 
+def test_all_is_stepped_and_its_rows_are_not_here_yet():
+    """A worker that was lost had done all of them."""
+    work = Work("mountaincar", "coach", cells=1, episodes=2, begun=1, steps=400, done_episodes=2, seconds=1.0)
+    assert work.steps_left == 0
+    for workers in (0, 1):
+        work.workers = workers
+        assert 0 <= seconds_left([work], 1) < 60
+
+
 class Clock:
     def __init__(self):
         self.now = 100.0
