@@ -18,6 +18,7 @@ from gpcjax.envs.registry import make_env
 from gpcjax.learners.factory import make_learner
 from gpcjax.play.chosen import Player, player_of
 from gpcjax.play.episodes import moments
+from gpcjax.policies.plain import PlainNetwork
 from gpcjax.policies.policy import Policy
 from gpcjax.policies.saved import save_controller, shipped_path
 from gpcjax.report.statistics import Interval, mean_interval
@@ -174,27 +175,38 @@ class TestEval:
 
         assert "NaN" not in json.dumps(as_json(found)) and as_json(found)["episodes"][1]["return"] is None
 
+    def test_on_a_task_of_ones_own(self, told, tmp_path):
+        """Two unstable coordinates: what pushes them back stays longer than what does nothing."""
+        push = PlainNetwork((np.array([[-4.0, 0.0], [0.0, -4.0]]),), (np.zeros(2),))
+        save_controller(tmp_path / "push", Policy.of(push).controller, {})
+        words = ["eval", tmp_path / "push", "--env", "tests.engine.tasks:Drift", "--episodes", "4", "--json"]
+        found = json.loads(told(*words))
+        assert found["env"] == "tests.engine.tasks:Drift" and found["lower"] < found["mean"] < 0
+        assert [each["steps"] for each in found["episodes"]] == [30] * 4
+
     @pytest.mark.slow
+    @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what brax imports
     @pytest.mark.parametrize(
-        "words",
+        ("words", "low", "high"),
         [
-            ["lunarlander:heuristic"],
-            ["gym:Pendulum-v1", "pendulum"],
-            ["tests.engine.tasks:Drift", "brax-reacher"],
+            (["lunarlander:heuristic"], 200, 400),
+            ([shipped_path("pendulum"), "--env", "gym:Pendulum-v1"], -500, 0),
+            (["brax:reacher:ppo"], -10, 0),
         ],
+        ids=["host", "gymnasium", "brax"],
     )
-    def test_further_tasks(self, words, told, monkeypatch):
-        """Simulated on the host, of gymnasium, and of one's own whose sizes do not fit."""
-        if len(words) == 1:
-            found = json.loads(told("eval", words[0], "--episodes", "2", "--json"))
-            assert found["mean"] > 200
-        elif words[0].startswith("gym"):
-            found = json.loads(
-                told("eval", shipped_path(words[1]), "--env", words[0], "--episodes", "2", "--json")
-            )
-            assert -500 < found["mean"] < 0
-        else:
-            assert cli.main(["policy", "eval", str(shipped_path(words[1])), "--env", words[0]]) == 2
+    def test_further_tasks(self, words, low, high, told):
+        assert low < json.loads(told("eval", *words, "--episodes", "2", "--json"))["mean"] < high
+
+
+def test_a_lesson_is_taken_by_its_folder(told, tmp_path):
+    """As `gpcjax teach` leaves it: rows like a sweep's, and beside them the policy."""
+    gpcjax.save_policy(tmp_path / "lesson" / "policy", *learner_and_state(1), env="mountaincar")
+    (tmp_path / "lesson" / "manifest.json").touch()
+    found = json.loads(told("info", tmp_path / "lesson", "--json"))
+    assert found["folder"] == str(tmp_path / "lesson" / "policy") and found["env"] == "mountaincar"
+    told("export", tmp_path / "lesson", "--out", "lesson.py")
+    assert "# env: mountaincar\n" in Path("lesson.py").read_text()
 
 
 def test_a_gif_is_that_of_play(told, capsys):
