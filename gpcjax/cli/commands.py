@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from gpcjax.cli.flags import JSON, WHERE, Command, Flag, flag_of, help_of
 from gpcjax.reproduce.parts import PARTS, folder
+from gpcjax.study.command import PLACES, USUAL_PLACES
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OF_CREDIT,
@@ -141,6 +142,30 @@ def _teach() -> Command:
     )
 
 
+def _study() -> Command:
+    flags = (
+        Flag(
+            "--out",
+            f"folder that keeps it, or has kept it and goes on ({_FOLDER}; default runs/study-NAME-NUMBER)",
+            "OUT",
+            _FOLDER,
+        ),
+        Flag("--host", "listens on this address (default 127.0.0.1)", "HOST", "an address"),
+        Flag("--port", "on this port (default the first from 8765 on that is free)", "PORT", str(PORT)),
+        Flag(
+            "--address",
+            "https://HOST, as participants open it, where a proxy with TLS hands it on",
+            "ADDRESS",
+            "https://HOST",
+        ),
+        Flag("--places", f"people who teach at once ({PLACES}; default {USUAL_PLACES})", "N", str(PLACES)),
+    )
+    text = (
+        "the TOML file of a study; or status OUT, how far it is; or delete OUT CODE, a participant everywhere"
+    )
+    return Command(_TEXTS["study"], (("", flags),), word="STUDY", word_text=text, several=True)
+
+
 def _compare() -> Command:
     flags = (
         Flag(
@@ -213,6 +238,7 @@ _TEXTS = {
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
+    "study": "hold a study: people teach blind, many at once, in the browser",
     "play": "show a policy in a window, or as an animated GIF",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
     "runs": "list run folders, and how far they are",
@@ -259,6 +285,7 @@ COMMANDS = {
         ),
     ),
     "teach": _teach(),
+    "study": _study(),
     "play": _play(),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),
     "runs": Command(

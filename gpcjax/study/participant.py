@@ -4,14 +4,16 @@ participant.json is replaced as a whole at each change, so that a crash leaves t
 is appended to. Nothing of a person is kept but the code.
 """
 
+import copy
+import functools
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 from gpcjax.errors import UserError
 from gpcjax.study.design import base_seed
@@ -58,6 +60,25 @@ class Kept:
     """Whether each attempt at the trial was passed."""
     answers: list[dict[str, Any]] = field(default_factory=list)
     """Each with `question`, `run` (or null), `letter`, `task`, `value`, `at`."""
+
+
+P = ParamSpec("P")
+
+
+def _whole(change: Callable[P, None]) -> Callable[P, None]:
+    """A change of a participant that could not be written has not happened: nobody is shown what is not saved."""
+
+    @functools.wraps(change)
+    def changed(*given: P.args, **named: P.kwargs) -> None:
+        one: Any = given[0]
+        before = copy.deepcopy(one.kept)
+        try:
+            change(*given, **named)
+        except BaseException:
+            one.kept = before
+            raise
+
+    return changed
 
 
 class Participant:
@@ -142,6 +163,7 @@ class Participant:
 
     # --- changes
 
+    @_whole
     def advance(self, kind: str) -> None:
         """Ends the present step, which is of this kind, and begins the next one; after the last all is complete.
 
@@ -156,6 +178,7 @@ class Participant:
         else:
             self._begin_step()
 
+    @_whole
     def checked(self, measured: Mapping[str, float], passed: bool) -> None:
         """Keeps what was measured of the machine, and goes on if that is enough."""
         self._at("check")
@@ -165,6 +188,7 @@ class Participant:
         else:
             self.save()
 
+    @_whole
     def attempted(self, passed: bool) -> None:
         """Keeps how an attempt at the trial ended; goes on if it was passed, ends it all if it was the last one."""
         self._at("trial")
@@ -177,6 +201,7 @@ class Participant:
         else:
             self.save()
 
+    @_whole
     def answered(self, values: Mapping[str, Any]) -> None:
         """Keeps the answers to the present questions, and goes on.
 
@@ -198,12 +223,15 @@ class Participant:
             )
         self.advance("questions")
 
+    @_whole
     def end(self, state: str, why: str = "") -> None:
         """Ends it all in this state."""
+        if state == COMPLETE:
+            self.seal()
         kept = self.kept
         kept.state, kept.why, kept.ended = state, why or ENDED[state], now()
-        self.save()
         self.log("ended", state=state, why=kept.why)
+        self.save()
 
     def touch(self) -> None:
         """Has done something just now."""
@@ -227,6 +255,15 @@ class Participant:
             "steps": [step.name for step in self.steps],
         }
         write_atomic(self.folder / CARD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+    def seal(self) -> None:
+        """Has every file of this participant on the disk, also those that a lesson wrote. Raises OSError."""
+        for path in [*self.folder.rglob("*"), self.folder]:
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
     def log(self, event: str, **values: Any) -> None:
         """Appends what happened. Raises OSError."""

@@ -118,6 +118,12 @@ def _arms(
             delay=float(each.take("delay", float, DELAY, 0.0)),
             most=each.take("participants", int, PARTICIPANTS, None),
         )
+        known = {find("learner", learners[name].algo).dictionary for name in whom}
+        if arm.cue and len(known) > 1:
+            raise UserError(
+                f"{each.source('cue')}: not all of these learners know how sure they are, which would tell them apart, "
+                "give learners that do"
+            )
         if arm.most is not None and within:
             raise UserError(
                 f"{each.source('participants')}: each participant has every arm here, leave it out, or give "

@@ -31,7 +31,8 @@ def test_the_study_of_the_thesis():
 def test_arms_within_participants_share_the_letters(tmp_path):
     late = '[[arms]]\nname = "late"\ncredit = 0.2\ncue = true\ndelay = 0.1\n'
     arms = f'arms_are = "within"\n[[arms]]\nname = "plain"\n{late}'
-    _, study = study_with(tmp_path, "[[learners]]", f"{arms}[[learners]]")
+    text = TOML.replace('algo = "coach"', 'algo = "gpc-ns"')
+    _, study = study_with(tmp_path, "[[learners]]", f"{arms}[[learners]]", text)
     assert len(study.slots[0].treatments) == 4 and study.slots[0].arm is None
     treatment = next(each for each in study.slots[0].treatments if each == ("gpc", "late"))
     assert dict(study.course(treatment, "pendulum", 3).settings) == {"credit": 0.2}
@@ -72,6 +73,7 @@ def test_arms_between_participants(tmp_path):
         ("https://example.org/", "https://{code}/", "[completed] link"),
         ("https://example.org/", "javascript:alert(1)//", "[completed] link"),
         ("[completed]", "[joining]\ncodes = ['a b']\n[completed]", "[joining] codes 'a b'"),
+        ("[[learners]]", "[[arms]]\nname = 'cue'\ncue = true\n[[learners]]", "would tell them apart"),
         ("[completed]", "[completd]", "'completd' is not known"),
         ("[check]\nwidth = 300\nround_trip = 500", "[[check]]\nwidth = 3", "[check] [{'width': 3}]: give a table"),
     ],
