@@ -9,16 +9,18 @@ Methods may be called from several threads. Of each pupil one thing happens at a
 steps of others do not wait for a correction.
 """
 
+import functools
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Bench, Known, Programs, Standing
-from gpcjax.engine.correcting import idle_is_due
+from gpcjax.engine.desk import Desk
 from gpcjax.engine.history import Credit
 from gpcjax.engine.pool import Tier
 from gpcjax.engine.single import info_of
@@ -35,12 +37,46 @@ LEAST, BENCH_BYTES = 8, 1 << 28
 """Lanes of a block at least, and bytes of what is learned in one at most: beyond that there are more of them."""
 
 
-def rooms_of(given: Any) -> tuple[tuple[int, int], ...]:
+Rooms = Sequence[tuple[int, int]]
+
+
+def rooms_of(given: Any) -> Rooms:
     """The rooms that a recording names. Raises TypeError or ValueError for what is no list of them."""
     rooms = tuple((int(policy), int(human)) for policy, human in given)
     if list(rooms) != sorted(set(rooms)):
         raise ValueError("they do not grow")
     return rooms
+
+
+def lanes_for(places: int) -> int:
+    """The width of a block with so many places: a power of two, and a full vector at least (`gpcjax.engine.pool.Tier`)."""
+    return max(LEAST, 1 << (places - 1).bit_length())
+
+
+@functools.lru_cache(maxsize=64)
+def _programs(tier: Tier, kind: "_Kind") -> Programs:
+    """Those of all benches of one kind: a classroom for one pupil comes and goes with each recording."""
+    return Programs(tier, *kind.given)
+
+
+class _Kind:
+    """Learners and credit of one structure are equal, whatever their numbers."""
+
+    def __init__(self, learner: Learner, credit: Credit | None):
+        self.given = learner, credit
+        leaves, structure = jax.tree.flatten(self.given)
+        self._key = structure, tuple((np.shape(leaf), np.asarray(leaf).dtype.name) for leaf in leaves)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Kind) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+def kind_of(learner: Learner, credit: Credit | None) -> Hashable:
+    """What all who share a classroom have in common."""
+    return _Kind(learner, credit)
 
 
 class Classroom:
@@ -62,7 +98,7 @@ class Classroom:
         self.places = places
         self._learner, self._credit = learner, credit
         tiers = [Tier(*room, self._width(room)) for room in rooms or [(1, 1)]]
-        self._programs = [Programs(tier, learner, credit) for tier in tiers]
+        self._programs = [_programs(tier, _Kind(learner, credit)) for tier in tiers]
         self._tiers = tiers
         self._benches: list[list[Bench]] = [[] for _ in tiers]
         self._taken = 0
@@ -141,14 +177,11 @@ class Classroom:
 
     def _width(self, room: tuple[int, int]) -> int:
         """Lanes of a block with this room: enough for all, unless that were too large."""
-        largest = max(LEAST, BENCH_BYTES // (16 * max(room) ** 2))
-        lanes = LEAST
-        while lanes < self.places and 2 * lanes <= largest:
-            lanes *= 2
-        return lanes
+        most = BENCH_BYTES // (16 * self._learner.action_size * max(room) ** 2)
+        return min(lanes_for(self.places), max(LEAST, 1 << (most.bit_length() - 1)))
 
 
-class Pupil:
+class Pupil(Desk):
     """One learner in a classroom, and where it stands: a `Desk` that moves itself."""
 
     def __init__(self, classroom: Classroom, learner: Learner, seed: int, credit: Credit | None):
@@ -157,22 +190,38 @@ class Pupil:
         self.bench: Bench
         self.lane: int
         self.known: Known
-        self.episode = self.time = 0
-        self.obs, self.action = np.zeros(learner.obs_size), np.zeros(learner.action_size)
+        self._episode = self._time = 0
+        self._obs, self._action = np.zeros(learner.obs_size), np.zeros(learner.action_size)
         self._depth = 0 if credit is None else credit.reach
         self._past_obs = np.zeros((self._depth, learner.obs_size))
         self._past_action = np.zeros((self._depth, learner.action_size))
 
     def stand_as(self, other: "Pupil") -> None:
         """At the step at which another one of this kind stands."""
-        self.episode, self.time = other.episode, other.time
-        self.obs, self.action = other.obs, other.action
+        self._episode, self._time = other.episode, other.time
+        self._obs, self._action = other.obs, other.action
         self._past_obs, self._past_action = other._past_obs.copy(), other._past_action.copy()
+
+    @property
+    def episode(self) -> int:
+        return self._episode
+
+    @property
+    def time(self) -> int:
+        return self._time
+
+    @property
+    def obs(self) -> Float[np.ndarray, " obs"]:
+        return self._obs.copy()
+
+    @property
+    def action(self) -> Float[np.ndarray, " action"]:
+        return self._action.copy()
 
     @property
     def idle_is_due(self) -> bool:
         every = self.learner.idle_every
-        return bool(every) and bool(idle_is_due(self.learner, np.asarray(self.time)))
+        return bool(every) and (self._time + 1) % every == 0
 
     def idled(self) -> "Pupil":
         idle([self])
@@ -195,14 +244,14 @@ class Pupil:
     ) -> None:
         """To the next step, at which this is proposed."""
         if self._depth and not begins:
-            place = self.time % self._depth
-            self._past_obs[place], self._past_action[place] = self.obs, self.action
-        self.obs, self.action = obs, proposed.clip(-1.0, 1.0)
-        self.time = 0 if begins else self.time + 1
-        self.episode += another
+            place = self._time % self._depth
+            self._past_obs[place], self._past_action[place] = self._obs, self._action
+        self._obs, self._action = obs, proposed.clip(-1.0, 1.0)
+        self._time = 0 if begins else self._time + 1
+        self._episode += another
 
     def executed(self, action: Float[np.ndarray, " action"]) -> "Pupil":
-        self.action = np.array(action)
+        self._action = np.array(action)
         return self
 
     def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Pupil, Info, int]":
@@ -229,7 +278,7 @@ class Pupil:
 
     def uncertain(self) -> Float[np.ndarray, " action"]:
         with self.lock:
-            return self.bench.uncertain(self.lane, self.obs, self.action)
+            return self.bench.uncertain(self.lane, self._obs, self._action)
 
     @property
     def state(self) -> State:
@@ -248,10 +297,10 @@ class Pupil:
         if self._depth:
             history = {"obs": self._past_obs.tolist(), "action": self._past_action.tolist()}
         return {
-            "episode": self.episode,
-            "time": self.time,
-            "obs": self.obs.tolist(),
-            "action": self.action.tolist(),
+            "episode": self._episode,
+            "time": self._time,
+            "obs": self._obs.tolist(),
+            "action": self._action.tolist(),
             "history": history,
         }
 
@@ -265,8 +314,8 @@ class Pupil:
         if self._depth:
             self._past_obs = like(place["history"]["obs"], self._past_obs)
             self._past_action = like(place["history"]["action"], self._past_action)
-        self.obs, self.action = like(place["obs"], self.obs), like(place["action"], self.action)
-        self.episode, self.time = int(place["episode"]), int(place["time"])
+        self._obs, self._action = like(place["obs"], self._obs), like(place["action"], self._action)
+        self._episode, self._time = int(place["episode"]), int(place["time"])
         return self
 
     def warm_up(self, ahead: bool) -> None:
@@ -279,10 +328,10 @@ class Pupil:
     def _standing(self) -> Standing:
         return Standing(
             np.array(self.seed),
-            np.array(self.episode, np.int32),
-            np.array(self.time, np.int32),
-            self.obs,
-            self.action,
+            np.array(self._episode, np.int32),
+            np.array(self._time, np.int32),
+            self._obs,
+            self._action,
             self._past_obs,
             self._past_action,
         )

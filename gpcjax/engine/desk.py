@@ -4,9 +4,10 @@ A session says what happens, one thing after the other; a desk computes it. What
 engine's own functions, whichever it is.
 """
 
+import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,100 +36,100 @@ from gpcjax.engine.single import (
 from gpcjax.learners.base import Info, Learner, State
 
 
-class Desk(Protocol):
+class Desk(abc.ABC):
     """One learner, the step that it stands at, and those before that late advice may be about.
 
     What moves it gives the desk that follows. It may be the same one: then what was before is gone.
     """
 
     @property
+    @abc.abstractmethod
     def episode(self) -> int:
         """Of the present step, from 0."""
-        ...
 
     @property
+    @abc.abstractmethod
     def time(self) -> int:
         """The present step of the episode, from 0."""
-        ...
 
     @property
+    @abc.abstractmethod
     def obs(self) -> Float[np.ndarray, " obs"]:
         """Of the present step."""
-        ...
 
     @property
+    @abc.abstractmethod
     def action(self) -> Float[np.ndarray, " action"]:
         """What was executed there."""
-        ...
 
     @property
+    @abc.abstractmethod
     def idle_is_due(self) -> bool:
         """Whether the learner goes on by itself at the end of the present step."""
-        ...
 
+    @abc.abstractmethod
     def idled(self) -> "Desk":
         """The learner has gone on by itself."""
-        ...
 
+    @abc.abstractmethod
     def stepped(
         self, obs: Float[np.ndarray, " obs"], begins: bool, another: bool
     ) -> "tuple[Desk, Float[np.ndarray, ' action'], bool]":
         """At the next step, as `gpcjax.engine.single.stepped`."""
-        ...
 
+    @abc.abstractmethod
     def executed(self, action: Float[np.ndarray, " action"]) -> "Desk":
         """Something else was executed at the present step than was proposed."""
-        ...
 
+    @abc.abstractmethod
     def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Desk, Info, int]":
         """Corrected, with what was done and how many corrections were learned; room is made first where it is due."""
-        ...
 
+    @abc.abstractmethod
     def taken_back(self, before: "Desk") -> "Desk":
         """With what was learned before, at the present step."""
-        ...
 
+    @abc.abstractmethod
     def acts(self, obs: Float[np.ndarray, " obs"]) -> Float[np.ndarray, " action"]:
         """What the policy does at an observation, clipped."""
-        ...
 
+    @abc.abstractmethod
     def acts_at(self, obs: Float[np.ndarray, "obs points"]) -> Float[np.ndarray, "action points"]:
         """The same at many."""
-        ...
 
+    @abc.abstractmethod
     def uncertain(self) -> Float[np.ndarray, " action"]:
         """sigma_h at the present step."""
-        ...
 
     @property
+    @abc.abstractmethod
     def state(self) -> State:
         """The learner's, without a lanes axis."""
-        ...
 
     @property
+    @abc.abstractmethod
     def points(self) -> tuple[int, int]:
         """Points of the policies and of the human models."""
-        ...
 
+    @abc.abstractmethod
     def measured(self) -> dict[str, float]:
         """What the learner measures of itself."""
-        ...
 
+    @abc.abstractmethod
     def place(self) -> dict[str, Any]:
         """Where it stands, as JSON knows it."""
-        ...
 
+    @abc.abstractmethod
     def placed(self, place: Mapping[str, Any]) -> "Desk":
         """At a place that `place` gave. Raises KeyError, TypeError or ValueError for another one."""
-        ...
 
+    @abc.abstractmethod
     def warm_up(self, ahead: bool) -> None:
         """Compiles what comes, as `gpcjax.engine.session.Session.warm_up`."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
-class Alone:
+class Alone(Desk):
     """A desk in a block of one lane, `gpcjax.engine.single.single`; it never changes, each move gives another."""
 
     learner: Learner
