@@ -208,13 +208,25 @@ def idled(block: Lane) -> Lane:
 
 def told(block: Lane) -> Info:
     """What the corrections of a block have done that was `cleared` before them."""
-    count, action_size = int(np.asarray(block.log.count)[0]), block.action.shape[0]
-    logged = (np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome"))
-    where, values, outcome = logged
+    count = int(np.asarray(block.log.count)[0])
+    where, values, outcome = (
+        np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome")
+    )
+    return info_of(where, values, outcome, int(np.asarray(block.status)[0]), block.action.shape[0])
+
+
+def info_of(
+    where: Int[np.ndarray, "log 3"],
+    values: Float[np.ndarray, "log 3"],
+    outcome: Bool[np.ndarray, "log 3"],
+    status: int,
+    action_size: int,
+) -> Info:
+    """What one advice has done, of its entries in a `CorrectionLog` and the status that they left."""
     numbers, flags = np.full((action_size, 3), np.nan), np.zeros((action_size, 3), bool)
     numbers[:, 0] = 0.0
     numbers[where[:, 2]], flags[where[:, 2]] = values, outcome
-    return Info(*jax.device_put((*numbers.T, *flags.T, np.asarray(block.status)[0])))
+    return Info(*jax.device_put((*numbers.T, *flags.T, np.int32(status))))
 
 
 def cleared(block: Lane) -> Lane:

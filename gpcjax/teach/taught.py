@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gpcjax.engine.session import Session
+from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
@@ -23,7 +23,8 @@ from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
-from gpcjax.teach.world import World
+from gpcjax.teach.world import Moved, World
+from gpcjax.teach.worlds import Place, Worlds
 
 UNDOS = 20
 """How many of the latest corrections can be taken back: each keeps a state, of 16 MiB for an action dimension."""
@@ -45,9 +46,9 @@ class Advised(NamedTuple):
 class Taught:
     """What a person teaches in one folder. Its methods belong to one thread."""
 
-    def __init__(self, folder: Path, course: Course, session: Session, world: World, tally: Tally):
+    def __init__(self, folder: Path, course: Course, session: Session, world: World | Place, tally: Tally):
         self.folder, self.course, self.session, self.tally = folder, course, session, tally
-        self._world = world
+        self.world = world
 
     @classmethod
     def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
@@ -62,13 +63,13 @@ class Taught:
             put(origin, start, course)
         course.write(folder)
         learner, state = beginning(course, start)
-        session = Session(learner, state, **_settings(course), record=folder / RECORD)
+        session = Session(learner, state, **settings_of(course), record=folder / RECORD)
         taught = cls(folder, course, session, _world(course, pictures=True), Tally())
-        taught._propose(taught._world.begin(0))
+        taught.begin_episode()
         return taught
 
     @classmethod
-    def resume(cls, folder: Path, say: Say, *, whole: bool = False) -> "Taught":
+    def resume(cls, folder: Path, say: Say, *, whole: bool = False, goes_on: bool = True) -> "Taught":
         """What was taught in a folder before, made again from its recording.
 
         Args:
@@ -76,13 +77,16 @@ class Taught:
             say: takes a line for the person, now and then.
             whole: check every step of the task, too, and write nothing; otherwise the steps of the last episode are
                 made again, and it goes on from there.
+            goes_on: if the last episode has ended, begin the next one.
 
         Raises:
             UserError: it is damaged, or the same events lead elsewhere here; the message names the step.
         """
         course = Course.read(folder)
-        record, world, tally = folder / RECORD, _world(course, pictures=not whole), Tally()
-        _, events = Recording.read(record)
+        record, tally = folder / RECORD, Tally()
+        first, events = Recording.read(record)
+        rooms = first["settings"].get(ROOMS)
+        world = _world(course, pictures=not whole) if rooms is None else _place(course)
         last = max((event["episode"] for event in events), default=0)
         ended = any(event["event"] == "end" for event in events[-1:])
         progress = _Progress(say, len(events))
@@ -95,15 +99,18 @@ class Taught:
                 taught._compare(event["values"])
             tally.hear(session, event, outcome)
 
-        learner, state = beginning(course, folder / START if (folder / START).exists() else None)
-        taught = cls(folder, course, Session(learner, state, **_settings(course)), world, tally)
-        taught.session = Session.replay(record, learner, state, go_on=not whole, told=told)
+        start = folder / START if (folder / START).exists() else None
+        learner, state = beginning(course, start, rooms[0][0] if rooms else None)
+        taught = cls(folder, course, Session(learner, state, **settings_of(course)), world, tally)
+        again = {"go_on": not whole, "check_from": 0 if whole else last}
+        taught.session = Session.replay(record, learner, state, told=told, **again)
         if whole:
             return taught
         if not tally.present.obs:
             if events and not ended:  # it was killed after the episode's last line but one
                 taught.session.end_episode()
-            taught._propose(world.begin(taught.episode))
+            if goes_on:
+                taught.begin_episode()
         return taught
 
     @property
@@ -122,22 +129,39 @@ class Taught:
         Raises:
             UserError: the task gives something else than it declares, or the recording cannot be written.
         """
-        moved = self._world.step(self.session.action)
-        self.present.total += moved.reward
-        self.present.length += 1
+        moved = self.world.step(self.session.action)
+        self.moved(moved)
         if not moved.over:
             self._propose(moved.obs)
             return None
         return self.end("over")
 
+    def moved(self, moved: Moved) -> None:
+        """Counts a step of the task: the first part of `step`."""
+        self.present.total += moved.reward
+        self.present.length += 1
+
+    def proposed(self) -> None:
+        """Counts what the session has proposed: the last part of `step`."""
+        self.tally.hear(self.session, {"event": "propose"}, None)
+
     def end(self, why: str) -> Episode:
         """Ends the episode and begins the next one."""
+        present = self.close(why)
+        self.begin_episode()
+        return present
+
+    def begin_episode(self) -> None:
+        """Proposes at the first step of the present episode."""
+        self._propose(self.world.begin(self.episode))
+
+    def close(self, why: str) -> Episode:
+        """Ends the episode, and begins none."""
         present = self.present
         values = {"ended": why, "total": present.total, "length": present.length}
         self.session.note(**values)
         self.tally.hear(self.session, {"event": "note", "values": values}, None)
         self.session.end_episode()
-        self._propose(self._world.begin(self.episode))
         return present
 
     def advise(self, press: Press, credited: int) -> Advised:
@@ -165,7 +189,7 @@ class Taught:
 
     def picture(self) -> np.ndarray | None:
         """What the task looks like now, (height, width, 3) uint8; None if it makes no pictures."""
-        return self._world.picture()
+        return self.world.picture()
 
     def save(self, name: str) -> None:
         """Keeps the session under a name, in place of what was kept there before.
@@ -201,14 +225,14 @@ class Taught:
 
     def _propose(self, obs: np.ndarray) -> None:
         self.session.propose(obs)
-        self.tally.hear(self.session, {"event": "propose"}, None)
+        self.proposed()
 
     def _follow(self, session: Session, recorded: list[float]) -> None:
         """Moves the task to the step that a recording tells of."""
         if session.step == 0:
-            obs = self._world.begin(session.episode)
+            obs = self.world.begin(session.episode)
         else:
-            moved = self._world.step(np.asarray(self.present.actions[-1]))
+            moved = self.world.step(np.asarray(self.present.actions[-1]))
             obs = moved.obs
             self.present.total += moved.reward
             self.present.length += 1
@@ -224,7 +248,7 @@ class Taught:
             return
         total = self.present.total
         if values["ended"] == "over":
-            total += self._world.step(np.asarray(self.present.actions[-1])).reward
+            total += self.world.step(np.asarray(self.present.actions[-1])).reward
         if total != values["total"]:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
 
@@ -269,7 +293,8 @@ class _Progress:
             self._say(f"making the recording again: {self._done:,} of {self._events:,} events")
 
 
-def _settings(course: Course) -> dict[str, Any]:
+def settings_of(course: Course) -> dict[str, Any]:
+    """Those of the session of a course."""
     given = dict(course.settings)
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
@@ -278,6 +303,10 @@ def _settings(course: Course) -> dict[str, Any]:
 
 def _world(course: Course, pictures: bool) -> World:
     return World(make_env(course.env), course.seed, pictures)
+
+
+def _place(course: Course) -> World | Place:
+    return Worlds(make_env(course.env), 1).enter(course.seed)
 
 
 def _replaced(path: Path, write: Callable[[Path], Any]) -> None:

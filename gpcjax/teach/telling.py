@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from gpcjax.allowed import Numbers, OneOf
 from gpcjax.describe import LearnerSpec, Setting, TaskSpec
 from gpcjax.envs.registry import make_env
+from gpcjax.engine.session import Session
 from gpcjax.learners.base import Learner, Status
 from gpcjax.registry import find
 from gpcjax.teach.course import seconds_of
@@ -126,6 +127,25 @@ def episode_of(index: int, episode: Episode) -> dict[str, Any]:
         "corrections": episode.corrections,
         "mode": "teach",
         "why": "over",
+    }
+
+
+def frame_of(
+    number: int, session: Session, present: Episode, episode: int, mode: str, late: float
+) -> dict[str, Any]:
+    """Of the present step of a session."""
+    return {
+        "type": "frame",
+        "n": number,
+        "episode": episode,
+        "step": present.length,
+        "obs": session.obs.tolist(),
+        "action": session.action.tolist(),
+        "total": present.total,
+        "sigma": None,
+        "prior": None,
+        "mode": mode,
+        "late": round(late, 2),
     }
 
 

@@ -27,7 +27,7 @@ class Running:
     """A server in a thread; `client` makes pages."""
 
     def __init__(self, out, study, places=64, host="127.0.0.1", address=None):
-        self.hall, self.out = FakeHall(places), out
+        self.hall, self.out, self._pages = FakeHall(places), out, contextlib.ExitStack()
         self.register = Register(out, study)
         self.serving = Serving(self.register, self.hall, places, host, 0, address)
         self.port = self.serving.socket.getsockname()[1]
@@ -43,6 +43,7 @@ class Running:
             self.raised = error
 
     def end(self):
+        self._pages.close()
         self.serving.server.should_exit = True
         self._thread.join(LONG)
         assert not self._thread.is_alive() and self.raised is None
@@ -60,12 +61,16 @@ class Running:
 
     def looks(self):
         """The experimenter's page."""
-        return self.opens(
-            "/experimenter/live", additional_headers={"Cookie": f"gpcjax-experimenter={self.serving.token}"}
-        )
+        cookie = f"gpcjax-experimenter={self.serving.token}"
+        return self._paged(self.opens("/experimenter/live", additional_headers={"Cookie": cookie}))
+
+    def _paged(self, opened):
+        page = Client(opened)
+        self._pages.callback(page.close)
+        return page
 
     def client(self, code="alpha", take=False):
-        page = Client(self.opens())
+        page = self._paged(self.opens())
         page.until("hello")
         page.says("join", code=code, take=take)
         return page
@@ -554,7 +559,7 @@ def test_the_token_is_kept_and_its_owners_alone(running):
 def test_the_experimenter_sees_who_is_where_pauses_and_stops(running):
     page = running.client()
     page.to_first_run()
-    look = Client(running.looks())
+    look = running.looks()
     row = look.until("people")["rows"][0]
     assert row["code"] == "alpha" and row["here"] and row["step"] == "01-dummy-A-pendulum"
     assert row["lesson"]["step"] == 7 and row["lesson"]["why"] == "start"
@@ -580,7 +585,7 @@ def test_the_experimenter_sees_who_is_where_pauses_and_stops(running):
 def test_a_participant_is_deleted_while_it_runs(running):
     page = running.client()
     page.to_first_run()
-    look = Client(running.looks())
+    look = running.looks()
     look.says("delete", code="alpha")
     assert "p0001" in look.until("deleted")["removed"][0]
     assert "gone" in [page.closed()["type"]]

@@ -1,0 +1,163 @@
+"""Many simulations of one compiled task, each a lane of a block: all that are due take their step in one call.
+
+Blocks have the widths of a classroom's (`gpcjax.engine.classroom`), so that the bits of a simulation do not depend on
+how many there are. A task that gymnasium simulates has nothing to share: there each is a `World` of its own.
+"""
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gpcjax.engine import streams
+from gpcjax.engine.bench import Ahead
+from gpcjax.engine.classroom import lanes_for
+from gpcjax.engine.lanewise import put, take
+from gpcjax.envs.base import Env, started, stepped
+from gpcjax.envs.host import HostEnv
+from gpcjax.errors import UserError
+from gpcjax.teach.world import Moved, World
+
+
+class Worlds:
+    """A block of simulations of a task; `enter` gives one of them.
+
+    Args:
+        env: from `make_env`.
+        places: how many at most.
+    """
+
+    def __init__(self, env: Env | HostEnv, places: int):
+        self.env = env
+        self._places = places
+        self._lock = threading.Lock()
+        self._free: set[int] = set()
+        if isinstance(env, Env):
+            lanes = lanes_for(places)
+            self._free = set(range(lanes))
+            one = jax.eval_shape(lambda: started(env, streams.start_key(0, 0)))
+            self._form = jax.tree.structure(one)
+            self._state = [
+                jax.device_put(np.zeros((*leaf.shape, lanes), leaf.dtype)) for leaf in jax.tree.leaves(one)
+            ]
+            self._width = lanes
+            self._begin, self._step = Ahead(self._begun), Ahead(self._stepped)
+            self._take, self._put = Ahead(lambda leaves, lane: take(leaves, lane, -1)), Ahead(self._placed)
+
+    def compile(self) -> None:
+        """All that a simulation needs."""
+        if isinstance(self.env, Env):
+            lane, number = np.int32(0), np.array(0)
+            self._begin.compile(self._state, lane, number, number)
+            self._step.compile(self._state, *self._actions([], []))
+            self._put.compile(self._state, lane, self._take(self._state, lane))
+
+    def enter(self, seed: int) -> "World | Place":
+        """A simulation with the starts of this seed; `begin` comes first."""
+        if isinstance(self.env, HostEnv):
+            return World(self.env, seed)
+        with self._lock:
+            return Place(self, self._free.pop(), seed)
+
+    def admit(self, other: "World | Place") -> "World | Place":
+        """A simulation of this task from elsewhere, as it is."""
+        if isinstance(other, World):
+            return other
+        mine = self.enter(other.seed)
+        assert isinstance(mine, Place)
+        with self._lock:
+            self._state = self._put(self._state, np.int32(mine.lane), other.worlds.taken(other.lane))
+        return mine
+
+    def leave(self, place: "World | Place") -> None:
+        """It is not needed any more."""
+        if isinstance(place, Place):
+            with self._lock:
+                self._free.add(place.lane)
+
+    def taken(self, lane: int) -> list[Any]:
+        """The state of the one at a lane."""
+        return self._take(self._state, np.int32(lane))
+
+    def begin(self, lane: int, seed: int, episode: int) -> Float[np.ndarray, " obs"]:
+        """As `World.begin` of the one at a lane."""
+        with self._lock:
+            self._state, obs = self._begin(self._state, np.int32(lane), np.array(seed), np.array(episode))
+        return np.array(obs)
+
+    def step(self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]) -> list[Moved]:
+        """As `World.step` of those at these lanes."""
+        given = self._actions(lanes, actions)
+        with self._lock:
+            self._state, *seen = self._step(self._state, *given)
+        obs, reward, over = map(np.asarray, seen)
+        return [Moved(obs[:, lane].copy(), float(reward[lane]), bool(over[lane])) for lane in lanes]
+
+    def _actions(
+        self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        given, mask = np.zeros((self.env.action_size, self._width)), np.zeros(self._width, bool)
+        for lane, action in zip(lanes, actions, strict=True):
+            given[:, lane], mask[lane] = action, True
+        return given, mask
+
+    # --- traced
+
+    def _begun(self, leaves: list, lane: Any, seed: Any, episode: Any) -> tuple[list, Any]:
+        assert isinstance(self.env, Env)
+        one = started(self.env, streams.start_key(seed, episode))
+        return put(leaves, lane, jax.tree.leaves(one), -1), one.obs
+
+    def _stepped(self, leaves: list, actions: Any, mask: Any) -> tuple[Any, ...]:
+        env, before = self.env, self._form.unflatten(leaves)
+        step = lambda state, action: stepped(env, state, action)  # noqa: E731  # pyright: ignore
+        after = jax.vmap(step, in_axes=-1, out_axes=-1)(before, actions)
+        kept = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, before)
+        return jax.tree.leaves(kept), after.obs, after.reward, after.done
+
+    def _placed(self, leaves: list, lane: Any, one: list) -> list:
+        return put(leaves, lane, one, -1)
+
+
+class Place:
+    """One simulation among others, with what a `World` has."""
+
+    def __init__(self, worlds: Worlds, lane: int, seed: int):
+        self.worlds, self.lane, self.seed = worlds, lane, seed
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of an observation, and of an action."""
+        return self.worlds.env.obs_size, self.worlds.env.action_size
+
+    def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
+        """The first observation of this episode, from 0."""
+        return self.worlds.begin(self.lane, self.seed, episode)
+
+    def step(self, action: Float[np.ndarray, " action"]) -> Moved:
+        """What comes of an action in [-1, 1]."""
+        (moved,) = self.worlds.step([self.lane], [action])
+        return moved
+
+    def picture(self) -> None:
+        """None: among others nobody makes pictures."""
+
+
+def step_together(
+    worlds: Worlds, places: Sequence[World | Place], actions: Sequence[Float[np.ndarray, " action"]]
+) -> list[Moved | UserError]:
+    """The step of each of these simulations of one block; what one of them raised in its place."""
+    if isinstance(worlds.env, Env):
+        lanes = [place.lane for place in places if isinstance(place, Place)]
+        return [*worlds.step(lanes, actions)]
+    found: list[Moved | UserError] = []
+    for place, action in zip(places, actions, strict=True):
+        try:
+            found.append(place.step(action))
+        except UserError as error:
+            found.append(error)
+    return found
