@@ -101,6 +101,8 @@ class Hall:
         with self._taking:
             if len(self._seats) >= self._places:
                 raise UserError(f"all {self._places:,} places are taken: try again when somebody has left")
+            if any(each.run.folder == run.folder for each in self._seats):  # one that is just being left
+                raise UserError(f"{run.folder}: somebody sits there: try again when its place is given back")
             self._seats.add(seat)
         self._door.ask(f"{id(seat)}", lambda: self._prepare(seat))
         return seat

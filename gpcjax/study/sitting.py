@@ -1,7 +1,7 @@
 """One participant at the server: the page, the step, and in a run the seat. Belongs to the server's event loop.
 
-What changes a participant is written by one clerk's thread before anything of it is shown; seats are taken in other
-threads, as a recording may have to be made again.
+What changes a participant is written by one clerk's thread before anything of it is shown. A seat blocks nobody: what
+it says comes when it is ready.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 GRACE = 60.0
 """Seconds for which the seat of somebody without a page stays taken: a reload finds it as it was."""
-AGAIN = 5.0
+AGAIN = 2.0
 """Seconds after which a seat is asked for once more where there was none."""
 
 WAITING = "All places are taken at the moment. Please wait: you go on as soon as one is free."
@@ -69,6 +69,8 @@ class Sitting:
         self._lock = asyncio.Lock()
         self._generation = 0
         self._asked = self._gone = self._acted = self._rested = 0.0
+        self._sits = False
+        """Whether the seat is prepared."""
         self._needed: dict[tuple[int, int], int] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -104,33 +106,29 @@ class Sitting:
         self.tell(present(self.participant, self._rested - time.monotonic()))
         self.tell({"type": "held", "on": self.is_held})
         if step is None or step.kind not in ("run", "trial"):
-            await self._release()
+            self._release()
         elif self.seat is not None:
             self.seat.everything()
             self._tell_needed()
         else:
-            await self._take_seat(step)
+            self._take_seat(step)
 
-    async def _take_seat(self, step: Step) -> None:
-        self._generation += 1
+    def _take_seat(self, step: Step) -> None:
+        self._release()
         self._asked = time.monotonic()
-        say = self._said_by(self._generation)
+        self.state, self._needed, self._sits = {"paused": True, "why": "start"}, {}, False
         try:
             run = self._desk.run_of(self.participant, step)
-            self.seat = await asyncio.to_thread(self._desk.hall.seat, run, say)
+            self.seat = self._desk.hall.seat(run, self._said_by(self._generation))
         except UserError as error:
             self._trouble(str(error))
             self.tell({"type": "waiting", "text": WAITING})
-            return
-        self.state = {"paused": True, "why": "start"}
-        self._needed = {}
-        self.seat.everything()
 
-    async def _release(self) -> None:
+    def _release(self) -> None:
         seat, self.seat = self.seat, None
         self._generation += 1  # what it still says is about something that is over
         if seat is not None:
-            await asyncio.to_thread(seat.leave)
+            seat.leave()
 
     # --- what a seat says
 
@@ -153,12 +151,16 @@ class Sitting:
             case "over":
                 self._later(self._over(generation))
                 return
-            case "task" if self._is_trial:
-                self._count_keys(message["task"]["actions"])
+            case "task":
+                self._sits = True
+                if self._is_trial:
+                    self._count_keys(message["task"]["actions"])
             case "state":
                 self.state = message
             case "problem":
                 self._trouble(str(message.get("text", "")))
+                if not self._sits:  # it could not be prepared: another try comes with a later tick
+                    self._release()
             case "episode" if self._is_trial:
                 trial = self.participant.study.trial
                 if trial is not None and trial.passes == "return" and message["total"] >= trial.total:
@@ -172,7 +174,7 @@ class Sitting:
         async with self._lock:
             if generation != self._generation:
                 return
-            await self._release()
+            self._release()
             if self._is_trial:
                 await self._desk.clerk(self.participant.attempted, False)
             else:
@@ -207,7 +209,7 @@ class Sitting:
     async def _pass(self) -> None:
         async with self._lock:
             if self._is_trial:
-                await self._release()
+                self._release()
                 await self._desk.clerk(self.participant.attempted, True)
                 await self._show()
 
@@ -318,7 +320,7 @@ class Sitting:
     async def stop(self) -> None:
         """Ends it all, by the experimenter."""
         async with self._lock:
-            await self._release()
+            self._release()
             if self.participant.step is not None:
                 await self._desk.clerk(self.participant.end, "stopped")
             await self._show()
@@ -326,7 +328,7 @@ class Sitting:
     async def close(self) -> None:
         """Gives the seat back, and closes the page."""
         async with self._lock:
-            await self._release()
+            self._release()
         if self.page is not None:
             self.page.close("the study has ended")
 
@@ -341,7 +343,7 @@ class Sitting:
         if self.page is None and now - self._gone > GRACE:
             async with self._lock:
                 if self.page is None:
-                    await self._release()
+                    self._release()
             return self.page is not None or self.seat is not None
         step = self.participant.step
         wants = step is not None and step.kind in ("run", "trial") and self.seat is None

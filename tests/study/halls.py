@@ -84,4 +84,5 @@ class FakeHall:
                 raise UserError("all places are taken")
             seat = FakeSeat(self, run, say)
             self.seats.append(seat)
-            return seat
+        seat.everything()
+        return seat
