@@ -20,12 +20,11 @@ from jaxtyping import Float
 
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Bench, Known, Programs, Standing
-from gpcjax.engine.desk import Desk
+from gpcjax.engine.desk import Advised, Desk
 from gpcjax.engine.history import Credit
 from gpcjax.engine.pool import Tier
-from gpcjax.engine.single import info_of
 from gpcjax.errors import UserError
-from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.base import Learner, State
 
 ROOMS = ((64, 64), (128, 256), (256, 512), (1024, 1024))
 """Points of each policy and each human model, as dictionaries grow. Human models only append and outgrow policies.
@@ -254,18 +253,16 @@ class Pupil(Desk):
         self._action = np.array(action)
         return self
 
-    def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Pupil, Info, int]":
+    def advised(
+        self, advice: Float[np.ndarray, " action"], about: Float[np.ndarray, " obs"] | None = None
+    ) -> "tuple[Pupil, Advised]":
         with self.lock:
             while not self.known.room and self._classroom.promote(self):
                 pass
-            learned = self.bench.correct(self.lane, self._standing(), advice)
+            at = self._obs if about is None else about
+            learned = self.bench.correct(self.lane, self._standing(), advice, at)
             self.known = learned.known
-        count = int(learned.count)
-        where, values, outcome = (
-            np.asarray(each)[:count] for each in (learned.where, learned.values, learned.outcome)
-        )
-        info = info_of(where, values, outcome, int(learned.status), self.learner.action_size)
-        return self, info, int(learned.corrections)
+        return self, Advised(learned.info, learned.corrections, learned.before, learned.after)
 
     def taken_back(self, before: Any) -> "Pupil":
         raise UserError("in a classroom nothing that was learned is taken back")

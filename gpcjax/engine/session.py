@@ -20,7 +20,7 @@ from jaxtyping import Float
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Numbers, checked, shown
 from gpcjax.engine.classroom import Classroom, Pupil, idle, propose, rooms_of
-from gpcjax.engine.desk import Alone, Desk
+from gpcjax.engine.desk import Advised, Alone, Desk
 from gpcjax.engine.history import Credit
 from gpcjax.engine.single import single
 from gpcjax.errors import UserError
@@ -218,6 +218,10 @@ class Session:
         Raises:
             ValueError: another shape or value, or no step has begun.
         """
+        return self.advise_about(advice, None).info
+
+    def advise_about(self, advice: Vector | float, about: Vector | None) -> Advised:
+        """The same, and what the policy does at `about` (obs_size,) before and after; NaN without one."""
         entries: Any = [advice] if np.ndim(advice) == 0 else advice
         given = np.asarray(vector("advice", entries, self.learner.action_size, "this learner"))
         if not np.isin(given, (-1.0, 0.0, 1.0)).all():
@@ -225,14 +229,15 @@ class Session:
         with self._lock:
             self._check_begun()
             before = self._desk, self.corrections
+            place = None if about is None else self._numbers("about", about, self.learner.obs_size)
             with one_thread() if self.learner.factorises else contextlib.nullcontext():
-                desk, info, learned = self._desk.advised(given)
+                desk, done = self._desk.advised(given, place)
             with self._recorded():
-                self.corrections += learned
+                self.corrections += done.corrections
                 self._desk = desk
                 self._keep("advise", advice=given.astype(int).tolist())
             self._undos.append(before)
-            return info
+            return done
 
     def undo(self) -> bool:
         """Takes the latest advice back, with all that was learned since; False if there is none to take back."""

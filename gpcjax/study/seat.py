@@ -16,6 +16,8 @@ from gpcjax.teach.course import Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import episode_of, frame_of
+from gpcjax.teach.world import Moved, World
+from gpcjax.teach.worlds import Place
 
 if TYPE_CHECKING:
     from gpcjax.study.hall import Hall
@@ -109,6 +111,17 @@ class Seat:
         return self.taught.session
 
     @property
+    def world(self) -> World | Place:
+        """Where its task is."""
+        assert self.taught is not None
+        return self.taught.world
+
+    @property
+    def episode(self) -> int:
+        """Index of the present one."""
+        return self._finished
+
+    @property
     def runs(self) -> bool:
         """Whether its steps are due."""
         return not self._paused
@@ -142,13 +155,20 @@ class Seat:
         self.broken = True
         self.problem(text)
 
-    def told_end(self, why: str) -> None:
-        """The episode that has just ended."""
+    def moves(self, moved: Moved) -> None:
+        """Counts a step of the task."""
         assert self.taught is not None
-        finished = self.taught.tally.finished
+        self.taught.moved(moved)
+
+    def ends(self, why: str) -> None:
+        """Ends the episode, and tells; after the last one it rests for good."""
+        assert self.taught is not None
+        ended = self.taught.close(why)
         self._first_of_episode = self._number + 1
-        told = episode_of(len(finished) - 1, finished[-1])
-        self._tell({"type": "episode", **told, "why": why})
+        self._tell({"type": "episode", **episode_of(self.episode - 1, ended), "why": why})
+        self.over = self.is_over()
+        if self.over:
+            self.rests("over")
 
     def rests(self, why: str) -> None:
         """It rests from now on."""
