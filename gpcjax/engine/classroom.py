@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Bench, Known, Programs, Standing
@@ -229,23 +229,23 @@ class Pupil(Desk):
     def stepped(
         self, obs: Float[np.ndarray, " obs"], begins: bool, another: bool
     ) -> "tuple[Pupil, Float[np.ndarray, ' action'], bool]":
-        ((proposed, finite),) = propose([self], [obs])
+        ((proposed,), (finite,)) = propose([self], obs[None])
         if finite:
-            self.move(obs, proposed, begins, another)
-        return self, proposed, finite
+            self.move(obs, proposed.clip(-1.0, 1.0), begins, another)
+        return self, proposed, bool(finite)
 
     def move(
         self,
         obs: Float[np.ndarray, " obs"],
-        proposed: Float[np.ndarray, " action"],
+        action: Float[np.ndarray, " action"],
         begins: bool,
         another: bool,
     ) -> None:
-        """To the next step, at which this is proposed."""
+        """To the next step, at which this is executed."""
         if self._depth and not begins:
             place = self._time % self._depth
             self._past_obs[place], self._past_action[place] = self._obs, self._action
-        self._obs, self._action = obs, proposed.clip(-1.0, 1.0)
+        self._obs, self._action = obs, action
         self._time = 0 if begins else self._time + 1
         self._episode += another
 
@@ -335,23 +335,21 @@ class Pupil(Desk):
 
 
 def propose(
-    pupils: Sequence[Pupil], observations: Sequence[Float[np.ndarray, " obs"]]
-) -> list[tuple[Float[np.ndarray, " action"], bool]]:
+    pupils: Sequence[Pupil], observations: Float[np.ndarray, "pupils obs"]
+) -> tuple[Float[np.ndarray, "pupils action"], Bool[np.ndarray, " pupils"]]:
     """What the policies of pupils of one classroom propose at their observations, before it is clipped.
 
     Gives with each whether it is a number. Nobody moves.
     """
-    found: list[Any] = [None] * len(pupils)
+    actions = np.zeros((len(pupils), pupils[0].learner.action_size if pupils else 0))
+    finite = np.zeros(len(pupils), bool)
     for bench, members in _by_bench(pupils).items():
-        first = observations[members[0]]
-        obs = np.zeros((len(first), bench.tier.lanes))
-        for index in members:
-            obs[:, pupils[index].lane] = observations[index]
-        proposed, finite = bench.propose(obs)
-        for index in members:
-            lane = pupils[index].lane
-            found[index] = proposed[:, lane].copy(), bool(finite[lane])
-    return found
+        lanes = [pupils[index].lane for index in members]
+        obs = np.zeros((observations.shape[1], bench.tier.lanes))
+        obs[:, lanes] = observations[members].T
+        proposed, sound = bench.propose(obs)
+        actions[members], finite[members] = proposed[:, lanes].T, sound[lanes]
+    return actions, finite
 
 
 def idle(pupils: Sequence[Pupil]) -> None:

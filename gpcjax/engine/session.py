@@ -103,6 +103,8 @@ class Session:
         self._proposed = np.zeros(learner.action_size)
         self.corrections = 0
         """Advice that was learned, and not undone, counted for each action dimension."""
+        self.latest: tuple[list[float], list[float]] = [], []
+        """Observation and action as they were when the latest step was proposed."""
         self._recording: Recording | None = None
         self._records_since = time.monotonic()
 
@@ -178,13 +180,19 @@ class Session:
     ) -> Float[np.ndarray, " action"]:
         """The step that the desk has come to: the rest of `propose`."""
         if not finite:
-            raise UserError(f"the policy's action at {shown(obs.tolist())} is no number")
+            raise _no_number(obs)
         with self._recorded():
-            self._desk, self._begun, self._begins = desk, True, False
-            self._proposed = proposed
+            self._desk = desk
             action = desk.action
-            self._keep("propose", obs=obs.tolist(), action=action.tolist())
+            self._heard(proposed, obs.tolist(), action.tolist())
         return action
+
+    def _heard(self, proposed: np.ndarray, obs: list[float], action: list[float]) -> None:
+        """What was proposed at the step that the desk has come to."""
+        self._begun, self._begins = True, False
+        self._proposed = proposed
+        self.latest = obs, action
+        self._keep("propose", obs=obs, action=action)
 
     def act(self, obs: Vector) -> Float[np.ndarray, " action"]:
         """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
@@ -466,7 +474,7 @@ class Session:
     @contextlib.contextmanager
     def _recorded(self) -> Iterator[None]:
         """What cannot be written down has not happened."""
-        names = ("_desk", "_begun", "_begins", "_proposed", "corrections")
+        names = ("_desk", "latest", "_begun", "_begins", "_proposed", "corrections")
         before = {name: getattr(self, name) for name in names}
         try:
             yield
@@ -534,25 +542,35 @@ def leave(session: Session) -> None:
 
 
 def propose_together(
-    sessions: Sequence[Session], observations: Sequence[Float[np.ndarray, " obs"]]
+    sessions: Sequence[Session], observations: Float[np.ndarray, "sessions obs"]
 ) -> list[UserError | None]:
     """`Session.propose` of each session of one classroom at its observation, in one call of its programs.
 
-    Gives what each of them raised.
+    Their recordings are deferred. Gives what each of them raised.
     """
     pupils = [_pupil(session) for session in sessions]
     idle([pupil for session, pupil in zip(sessions, pupils, strict=True) if session._idles])
-    proposals = propose(pupils, observations)
+    proposed, finite = propose(pupils, observations)
+    rows = zip(
+        sessions,
+        pupils,
+        observations,
+        proposed,
+        proposed.clip(-1.0, 1.0),
+        finite.tolist(),
+        strict=True,
+    )
     raised: list[UserError | None] = []
-    for session, pupil, obs, (proposed, finite) in zip(sessions, pupils, observations, proposals, strict=True):
-        try:
-            if finite:
-                pupil.move(obs, proposed, *session._flags)
-            session._proposes(obs, pupil, proposed, finite)
-            raised.append(None)
-        except UserError as error:
-            raised.append(error)
+    for session, pupil, obs, each, action, sound in rows:
+        if sound:
+            pupil.move(obs, action, *session._flags)
+            session._heard(each, obs.tolist(), action.tolist())
+        raised.append(None if sound else _no_number(obs))
     return raised
+
+
+def _no_number(obs: np.ndarray) -> UserError:
+    return UserError(f"the policy's action at {shown(obs.tolist())} is no number")
 
 
 def _pupil(session: Session) -> Pupil:

@@ -11,6 +11,7 @@ A run that is being corrected misses no step: it is caught up with as soon as th
 """
 
 import contextlib
+import gc
 import math
 import queue
 import threading
@@ -74,6 +75,9 @@ class Hall:
         with ThreadPoolExecutor(2) as pool:
             list(pool.map(lambda kind: kind.compile(first=True), self._kinds.values()))
         self._context.enter_context(one_thread())
+        gc.collect()
+        gc.freeze()  # what was loaded stays: to look through it takes longer than a step
+        self._context.callback(gc.unfreeze)
         self._papers, self._door = Errands(self.fault), Errands(self.fault)
         for thread in (self._clock, self._learning, self._ahead):
             thread.start()
@@ -291,7 +295,7 @@ class Hall:
                 seat.lock.release()
 
     def _step(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
-        actions = [seat.session.action for seat in seats]
+        actions = [seat.session.latest[1] for seat in seats]
         going: list[tuple[Seat, np.ndarray]] = []
         beginning: list[Seat] = []
         moves = step_together(kind.worlds, [seat.world for seat in seats], actions)
@@ -312,7 +316,9 @@ class Hall:
                     seat.breaks(str(obs))
                 else:
                     going.append((seat, obs))
-        raised = propose_together([seat.session for seat, _ in going], [obs for _, obs in going])
+        if not going:
+            return
+        raised = propose_together([seat.session for seat, _ in going], np.array([obs for _, obs in going]))
         now = time.perf_counter()
         for (seat, _), error in zip(going, raised, strict=True):
             if error is not None:

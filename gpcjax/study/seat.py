@@ -78,7 +78,7 @@ class Seat:
         self.sigma_asked = 0.0
         self.held = contextlib.ExitStack()
         """The lock of its folder."""
-        self._number = self._first_of_episode = 0
+        self._number = self._first_of_episode = self._steps = 0
 
     # --- for the page
 
@@ -140,6 +140,7 @@ class Seat:
     def sits(self, taught: Taught) -> None:
         """What was prepared: from here on it rests, and is told."""
         self.taught = taught
+        self._steps = sum(episode.length for episode in taught.tally.finished) + taught.present.length
         self.over = self.is_over()
         self._why = "over" if self.over else "start"
         self._tell_everything()
@@ -159,6 +160,7 @@ class Seat:
         """Counts a step of the task."""
         assert self.taught is not None
         self.taught.moved(moved)
+        self._steps += 1
 
     def ends(self, why: str) -> None:
         """Ends the episode, and tells; after the last one it rests for good."""
@@ -183,7 +185,7 @@ class Seat:
 
     def time_is_up(self) -> bool:
         """Whether no more steps fit into the run."""
-        return self.run.seconds is not None and self._time() >= self.run.seconds - 1e-9
+        return self.run.seconds is not None and self._steps * self.kind.seconds >= self.run.seconds - 1e-9
 
     def is_over(self) -> bool:
         """Whether no step is to come, at the end of an episode."""
@@ -197,12 +199,6 @@ class Seat:
     def _finished(self) -> int:
         assert self.taught is not None
         return len(self.taught.tally.finished)
-
-    def _time(self) -> float:
-        assert self.taught is not None
-        tally = self.taught.tally
-        steps = sum(episode.length for episode in tally.finished) + tally.present.length
-        return steps * self.kind.seconds
 
     def _learn(self, press: Press) -> None:
         with self.lock:

@@ -94,7 +94,7 @@ class Worlds:
             self._state, obs = self._begin(self._state, *given, mask)
         return list(np.asarray(obs).T[list(lanes)])
 
-    def step(self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]) -> list[Moved]:
+    def step(self, lanes: Sequence[int], actions: Sequence[Any]) -> list[Moved]:
         """As `World.step` of those at these lanes."""
         given = self._actions(lanes, actions)
         with self._lock:
@@ -109,11 +109,11 @@ class Worlds:
         ]
 
     def _actions(
-        self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]
+        self, lanes: Sequence[int], actions: Sequence[Any]
     ) -> tuple[np.ndarray, np.ndarray]:
         given, mask = np.zeros((self.env.action_size, self._width)), np.zeros(self._width, bool)
-        for lane, action in zip(lanes, actions, strict=True):
-            given[:, lane], mask[lane] = action, True
+        if lanes:
+            given[:, list(lanes)], mask[list(lanes)] = np.array(actions, float).T, True
         return given, mask
 
     # --- traced
@@ -163,7 +163,7 @@ class Place:
 
 
 def step_together(
-    worlds: Worlds, places: Sequence[World | Place], actions: Sequence[Float[np.ndarray, " action"]]
+    worlds: Worlds, places: Sequence[World | Place], actions: Sequence[Sequence[float]]
 ) -> list[Moved | UserError]:
     """The step of each of these simulations of one block; what one of them raised in its place."""
     if isinstance(worlds.env, Env):
@@ -172,7 +172,7 @@ def step_together(
     found: list[Moved | UserError] = []
     for place, action in zip(places, actions, strict=True):
         try:
-            found.append(place.step(action))
+            found.append(place.step(np.array(action)))
         except UserError as error:
             found.append(error)
     return found
