@@ -21,10 +21,10 @@ from gpcjax.engine.history import Credit, History
 from gpcjax.engine.lanes import Lane, fresh, map_lanes
 from gpcjax.engine.lanewise import put, take
 from gpcjax.engine.pool import Tier
-from gpcjax.engine.single import Elsewhere
+from gpcjax.engine.single import Elsewhere, info_in
 from gpcjax.engine.stepping import propose
 from gpcjax.envs.base import begin
-from gpcjax.learners.base import Learner, State
+from gpcjax.learners.base import Info, Learner, State
 
 
 class Standing(NamedTuple):
@@ -40,26 +40,25 @@ class Standing(NamedTuple):
     past_action: Float[np.ndarray, "depth action"]
 
 
-class Learned(NamedTuple):
-    """What one correction came to."""
-
-    corrections: Int[np.ndarray, ""]
-    count: Int[np.ndarray, ""]
-    """Entries of the log, the first of the three arrays that follow."""
-    where: Int[np.ndarray, "action 3"]
-    values: Float[np.ndarray, "action 3"]
-    outcome: Any
-    status: Int[np.ndarray, ""]
-    known: "Known"
-
-
 class Known(NamedTuple):
     """What is known of a state, so that nobody has to look at it again."""
 
-    room: Any
+    room: bool
     """Whether the next correction surely fits."""
-    points: tuple[Any, Any]
-    measured: dict[str, Any]
+    points: tuple[int, int]
+    measured: dict[str, float]
+
+
+class Learned(NamedTuple):
+    """What one correction came to."""
+
+    info: Info
+    corrections: int
+    """Action dimensions that were learned."""
+    before: Float[np.ndarray, " action"]
+    """What the policy did where the correction is shown to be about, clipped."""
+    after: Float[np.ndarray, " action"]
+    known: Known
 
 
 class Bench:
@@ -90,11 +89,11 @@ class Bench:
         for mine, leaf in zip(self._credit, jax.tree.leaves(credit), strict=True):
             mine[..., lane] = leaf
         leaves, own = jax.tree.leaves(state), [np.asarray(leaf) for leaf in jax.tree.leaves(learner)]
-        self._state, self._controller, known = self._programs.enter(
+        self._state, self._controller, numbers = self._programs.enter(
             self._state, self._controller, leaves, own, np.int32(lane)
         )
         self.free.remove(lane)
-        return lane, self._programs.known(known)
+        return lane, self._programs.known(np.asarray(numbers))
 
     def leave(self, lane: int) -> None:
         """The place is free."""
@@ -108,15 +107,23 @@ class Bench:
         self, obs: Float[np.ndarray, "obs lanes"]
     ) -> tuple[Float[np.ndarray, "action lanes"], np.ndarray]:
         """The actions at these observations before they are clipped, and whether each is a number."""
-        proposed, finite = self._programs.propose(self._controller, obs)
-        return np.asarray(proposed), np.asarray(finite)
+        proposed = np.asarray(self._programs.propose(self._controller, obs))
+        return proposed[:-1], proposed[-1] > 0
 
-    def correct(self, lane: int, at: Standing, advice: Float[np.ndarray, " action"]) -> Learned:
-        """Corrects the learner at a place."""
-        self._state, self._controller, leaves = self._programs.correct(
-            self._state, self._controller, self._learner, self._credit, np.int32(lane), at, advice
+    def correct(
+        self,
+        lane: int,
+        at: Standing,
+        advice: Float[np.ndarray, " action"],
+        about: Float[np.ndarray, " obs"],
+    ) -> Learned:
+        """Corrects the learner at a place; it is shown what that did at `about`."""
+        self._state, self._controller, info, packed = self._programs.correct(
+            self._state, self._controller, self._learner, self._credit, np.int32(lane), at, advice, about
         )
-        return self._programs.learned(leaves)
+        numbers, size = np.asarray(packed), len(advice)
+        before, after = numbers[1 : size + 1], numbers[size + 1 : 2 * size + 1]
+        return Learned(info, int(numbers[0]), before, after, self._programs.known(numbers[2 * size + 1 :]))
 
     def idle(
         self, seeds: np.ndarray, episodes: np.ndarray, times: np.ndarray, waiting: np.ndarray
@@ -129,8 +136,8 @@ class Bench:
 
     def known(self, lane: int) -> Known:
         """What is known of the state at a place."""
-        learner = self._programs.learner([leaf[lane] for leaf in self._learner])
-        return self._programs.known(self._programs.about(learner, self.state(lane)))
+        own = [leaf[lane] for leaf in self._learner]
+        return self._programs.known(np.asarray(self._programs.look(self._state, own, np.int32(lane))))
 
     def uncertain(
         self, lane: int, obs: Float[np.ndarray, " obs"], action: Float[np.ndarray, " action"]
@@ -199,12 +206,14 @@ class Programs:
         self.state_form = jax.tree.structure(state)
         self._controller_form = jax.tree.structure(controller)
         self._learner_form, self._credit_form = jax.tree.structure(learner), jax.tree.structure(credit)
+        self._measures = sorted(jax.eval_shape(learner.measure, state))
         self.shapes = Shapes(jax.tree.leaves(state), jax.tree.leaves(controller))
         self.propose = Ahead(self._propose)
         self.correct = Ahead(self._correct, donate=True)
         self.idle = Ahead(self._idle, donate=True)
         self.enter = Ahead(self._put, donate=True)
         self.take = Ahead(lambda leaves, lane: take(leaves, lane, 0))
+        self.look = Ahead(self._look)
         self.uncertain = Ahead(self._uncertain)
         self.acts_at = Ahead(self._acts_at)
 
@@ -227,10 +236,11 @@ class Programs:
         self.take.compile(state, lane)
         self.propose.compile(controller, np.zeros((len(obs), self._tier.lanes)))
         self.acts_at.compile(controller, lane, obs[:, None])
-        self.correct.compile(state, controller, learners, credits, lane, at, action)
+        self.correct.compile(state, controller, learners, credits, lane, at, action, obs)
         if self._learner.idle_every:
             seeds, numbers = (np.zeros(self._tier.lanes, kind) for kind in (np.int64, np.int32))
             waiting = np.zeros(self._tier.lanes, bool)
+            self.look.compile(state, own, lane)
             self.idle.compile(state, controller, learners, credits, seeds, numbers, numbers, waiting)
         self.uncertain.compile(state, own, lane, obs, action)
 
@@ -239,17 +249,10 @@ class Programs:
         leaves = jax.tree.leaves(state)
         return [np.shape(leaf) for leaf in leaves] == [leaf.shape for leaf in self.shapes.state]
 
-    def learner(self, leaves: list[Any]) -> Learner:
-        """One with these numbers."""
-        return self._learner_form.unflatten(leaves)
-
-    def known(self, leaves: Known) -> Known:
-        """On the host."""
-        return jax.tree.map(lambda leaf: np.asarray(leaf).item(), leaves)
-
-    def learned(self, leaves: Learned) -> Learned:
-        """On the host."""
-        return Learned(*map(np.asarray, leaves[:-1]), self.known(leaves.known))
+    def known(self, numbers: Float[np.ndarray, " numbers"]) -> Known:
+        """What `about` has packed."""
+        room, policy, human, *measured = numbers.tolist()
+        return Known(bool(room), (int(policy), int(human)), dict(zip(self._measures, measured, strict=True)))
 
     # --- traced
 
@@ -263,8 +266,9 @@ class Programs:
         controllers = put(controllers, lane, jax.tree.leaves(learner.controller(one)), -1)
         return states, controllers, self.about(learner, one)
 
-    def _propose(self, controller: list, obs: Array) -> tuple[Array, Array]:
-        return propose(self._controller_form.unflatten(controller), obs, jnp.zeros(obs.shape[-1]))
+    def _propose(self, controller: list, obs: Array) -> Array:
+        proposed, finite = propose(self._controller_form.unflatten(controller), obs, jnp.zeros(obs.shape[-1]))
+        return jnp.concatenate([proposed, finite[None].astype(proposed.dtype)])
 
     def _correct(
         self,
@@ -275,6 +279,7 @@ class Programs:
         lane: Array,
         at: Standing,
         advice: Array,
+        about: Array,
     ) -> tuple[Any, ...]:
         width = self._tier.lanes
         everywhere = lambda value: jnp.broadcast_to(value[..., None], (*value.shape, width))  # noqa: E731
@@ -293,17 +298,12 @@ class Programs:
         # Of the others, none is advised: their places in the block are the same as this one's, and nobody reads them.
         given = jnp.where(jnp.arange(width)[None] == lane, advice[:, None], 0.0)
         after = correct(block, given)
-        log, size = take(after.log, lane, 0), self._learner.action_size
-        learned = Learned(
-            corrections=after.tally.corrections[lane],
-            count=log.count,
-            where=log.where[:size],
-            values=log.values[:size],
-            outcome=log.outcome[:size],
-            status=after.status[lane],
-            known=self.about(take(block.learner, lane, 0), take(after.state, lane, 0)),
-        )
-        return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), learned
+        before, then = (self._act(leaves, lane, about) for leaves in (controllers, after.controller))
+        learner, state = take((block.learner, after.state), lane, 0)
+        info = info_in(take(after.log, lane, 0), after.status[lane], self._learner.action_size)
+        learned = after.tally.corrections[lane].astype(float)
+        packed = jnp.concatenate([learned[None], before, then, self.about(learner, state)])
+        return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), info, packed
 
     def _idle(
         self,
@@ -322,18 +322,32 @@ class Programs:
         after = correct(block, jnp.zeros_like(block.action))
         return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), after.status
 
+    def _look(self, states: list, own: list, lane: Array) -> Array:
+        return self.about(
+            self._learner_form.unflatten(own), self.state_form.unflatten(take(states, lane, 0))
+        )
+
+    def _act(self, controllers: Any, lane: Array, obs: Array) -> Array:
+        controller = self._controller_form.unflatten(take(jax.tree.leaves(controllers), lane, -1))
+        return jnp.clip(controller(obs), -1.0, 1.0)
+
     def _uncertain(self, states: list, own: list, lane: Array, obs: Array, action: Array) -> Array:
         one = self.state_form.unflatten(take(states, lane, 0))
         return self._learner_form.unflatten(own)._uncertainty(one, obs, action)
 
     def _acts_at(self, controllers: list, lane: Array, obs: Array) -> Array:
-        controller = self._controller_form.unflatten(take(controllers, lane, -1))
-        return jnp.clip(jax.vmap(controller, in_axes=-1, out_axes=-1)(obs), -1.0, 1.0)
+        return jax.vmap(lambda obs: self._act(controllers, lane, obs), in_axes=-1, out_axes=-1)(obs)
 
-    def about(self, learner: Learner, state: State) -> Known:
-        """What is known of a state; traced, or not."""
+    def about(self, learner: Learner, state: State) -> Float[Array, " numbers"]:
+        """What is known of a state, packed."""
         moments = 1 if self._credit is None else self._credit.moments
-        return Known(learner.has_room(state, moments), learner.points(state), learner.measure(state))
+        measured = learner.measure(state)
+        numbers = [
+            learner.has_room(state, moments),
+            *learner.points(state),
+            *(measured[name] for name in self._measures),
+        ]
+        return jnp.stack([jnp.asarray(number, float) for number in numbers])
 
     def _block(self, states: list, controllers: list, learners: list, credits: list) -> Lane:
         """The bench as the engine's functions know it, at no step."""

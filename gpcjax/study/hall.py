@@ -11,12 +11,15 @@ A run that is being corrected misses no step: it is caught up with as soon as th
 """
 
 import contextlib
+import gc
 import math
 import queue
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
 
 from gpcjax.engine.classroom import kind_of
 from gpcjax.engine.session import credit_of, propose_together
@@ -28,7 +31,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
 from gpcjax.teach.taught import Taught, settings_of
-from gpcjax.teach.worlds import step_together
+from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]
 
@@ -72,6 +75,9 @@ class Hall:
         with ThreadPoolExecutor(2) as pool:
             list(pool.map(lambda kind: kind.compile(first=True), self._kinds.values()))
         self._context.enter_context(one_thread())
+        gc.collect()
+        gc.freeze()  # what was loaded stays: to look through it takes longer than a step
+        self._context.callback(gc.unfreeze)
         self._papers, self._door = Errands(self.fault), Errands(self.fault)
         for thread in (self._clock, self._learning, self._ahead):
             thread.start()
@@ -291,25 +297,32 @@ class Hall:
                 seat.lock.release()
 
     def _step(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
-        actions = [seat.session.action for seat in seats]
-        worlds = [seat.taught.world for seat in seats if seat.taught is not None]
-        going: list[Seat] = []
-        observations = []
-        for seat, moved in zip(seats, step_together(kind.worlds, worlds, actions), strict=True):
-            taught = seat.taught
-            assert taught is not None
+        actions = [seat.session.latest[1] for seat in seats]
+        going: list[tuple[Seat, np.ndarray]] = []
+        beginning: list[Seat] = []
+        moves = step_together(kind.worlds, [seat.world for seat in seats], actions)
+        for seat, moved in zip(seats, moves, strict=True):
             if isinstance(moved, UserError):
                 seat.breaks(str(moved))
                 continue
-            taught.moved(moved)
+            seat.moves(moved)
             why = "over" if moved.over else "time" if seat.time_is_up() else None
-            obs = moved.obs if why is None else self._ended(seat, why)
-            if obs is not None:
-                going.append(seat)
-                observations.append(obs)
-        raised = propose_together([seat.session for seat in going], observations)
+            if why is None:
+                going.append((seat, moved.obs))
+            elif self._goes_on_after(seat, why):
+                beginning.append(seat)
+        if beginning:
+            worlds, episodes = [seat.world for seat in beginning], [seat.episode for seat in beginning]
+            for seat, obs in zip(beginning, begin_together(kind.worlds, worlds, episodes), strict=True):
+                if isinstance(obs, UserError):
+                    seat.breaks(str(obs))
+                else:
+                    going.append((seat, obs))
+        if not going:
+            return
+        raised = propose_together([seat.session for seat, _ in going], np.array([obs for _, obs in going]))
         now = time.perf_counter()
-        for seat, error in zip(going, raised, strict=True):
+        for (seat, _), error in zip(going, raised, strict=True):
             if error is not None:
                 seat.breaks(str(error))
                 continue
@@ -318,19 +331,14 @@ class Hall:
                 seat.sigma_asked = now
                 self.learns(seat.measure_sigma)
 
-    def _ended(self, seat: Seat, why: str):
-        """Ends an episode; gives the first observation of the next one, unless it was the last."""
-        taught = seat.taught
-        assert taught is not None
-        taught.close(why)
-        seat.told_end(why)
-        if not seat.is_over():
+    def _goes_on_after(self, seat: Seat, why: str) -> bool:
+        """Ends an episode: whether another one follows."""
+        seat.ends(why)
+        if not seat.over:
             self.keeps(seat)
-            return taught.world.begin(taught.episode)
-        seat.over = True
-        seat.rests("over")
+            return True
         self.completes(seat)
-        return None
+        return False
 
 
 def _of(course: Course) -> Hashable:

@@ -174,12 +174,11 @@ class Taught:
         advice = np.zeros(size)
         advice[press.dim] = press.h
         about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
-        before = self.session.act(about)[press.dim]
         self.session.note(press=list(press))
-        info = self.session.advise(advice)
-        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, info)
-        after = self.session.act(about)[press.dim]
-        return Advised(info, self.session.step, np.asarray(about), float(before), float(after))
+        done = self.session.advise_about(advice, about)
+        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, done.info)
+        before, after = (float(action[press.dim]) for action in (done.before, done.after))
+        return Advised(done.info, self.session.step, np.asarray(about), before, after)
 
     def undo(self) -> bool:
         """Takes the latest advice back; False if there is none."""
