@@ -68,6 +68,7 @@ export class Teaching {
       say(byId("said"), "\u00a0");
     }
     this.waiting = "";
+    this.lesson.ready = false;
     this.restUntil = performance.now() + 1000 * (step.rest ?? 0);
     say(byId("work-title"), step.kind === "trial" ? `Trial: ${step.task}` : `Learner ${step.letter}: ${step.task}`);
     this.changed();
@@ -79,12 +80,12 @@ export class Teaching {
   }
 
   get running() {
-    return this.step !== null && this.lesson.task !== null && !this.lesson.state.paused && !this.held;
+    return this.step !== null && this.lesson.ready && !this.lesson.state.paused && !this.held;
   }
 
   toggle() {
-    const { state, task } = this.lesson;
-    if (!task || this.held || performance.now() < this.restUntil) return;
+    const { state, ready } = this.lesson;
+    if (!ready || this.held || performance.now() < this.restUntil) return;
     this.send("pause", { on: !state.paused });
   }
 
@@ -204,7 +205,7 @@ export class Teaching {
     const { lesson } = this;
     if (this.held) return { title: "Paused by the experimenter", text: "Please wait. Nothing is lost." };
     if (this.waiting) return { title: "Please wait", text: this.waiting, busy: true };
-    if (!lesson.task) return { title: "Preparing", text: "A moment.", busy: true };
+    if (!lesson.task || !lesson.ready) return { title: "Preparing", text: "A moment.", busy: true };
     if (!lesson.state.paused) return null;
     if (lesson.state.why === "over") return { title: "This run is over", text: "It is being saved. A moment.", busy: true };
     if (lesson.state.why !== "start") {
