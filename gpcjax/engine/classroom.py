@@ -260,7 +260,9 @@ class Pupil(Desk):
             while not self.known.room and self._classroom.promote(self):
                 pass
             at = self._obs if about is None else about
-            learned = self.bench.correct(self.lane, self._standing(), advice, at)
+            counts = np.array([self.lane, self.seed, self._episode, self._time])
+            now = np.concatenate([self._obs, self._action, advice, at])
+            learned = self.bench.correct(Standing(counts, now, self._past_obs, self._past_action))
             self.known = learned.known
         return self, Advised(learned.info, learned.corrections, learned.before, learned.after)
 
@@ -321,17 +323,6 @@ class Pupil(Desk):
     def leave(self) -> None:
         """Gives its place back."""
         self._classroom.leave(self)
-
-    def _standing(self) -> Standing:
-        return Standing(
-            np.array(self.seed),
-            np.array(self._episode, np.int32),
-            np.array(self._time, np.int32),
-            self._obs,
-            self._action,
-            self._past_obs,
-            self._past_action,
-        )
 
 
 def propose(
