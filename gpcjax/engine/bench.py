@@ -71,14 +71,11 @@ class Bench:
         self.tier = tier
         self._programs = programs
         self.free = set(range(tier.lanes))
-        shapes = programs.shapes
-        self._state, self._controller, self._learner, self._credit = (
-            [np.zeros((tier.lanes, *leaf.shape), leaf.dtype) for leaf in shapes.state],
-            [np.zeros((*leaf.shape, tier.lanes), leaf.dtype) for leaf in shapes.controller],
-            [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)],
-            [np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)],
-        )
-        self._state, self._controller = jax.device_put((self._state, self._controller))
+        self._state, self._controller = programs.empty()
+        self._learner = [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)]
+        self._credit = [
+            np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)
+        ]
         self._numbers = jax.device_put((self._learner, self._credit))
 
     def enter(self, learner: Learner, credit: Credit | None, state: State) -> tuple[int, Known]:
@@ -203,6 +200,7 @@ class Programs:
         self._learner_form, self._credit_form = jax.tree.structure(learner), jax.tree.structure(credit)
         self._measures = sorted(jax.eval_shape(learner.measure, state))
         self.shapes = Shapes(jax.tree.leaves(state), jax.tree.leaves(controller))
+        self.empty = Ahead(self._empty)
         self.propose = Ahead(self._propose)
         self.correct = Ahead(self._correct, donate=True)
         self.idle = Ahead(self._idle, donate=True)
@@ -214,10 +212,8 @@ class Programs:
 
     def compile(self, before: "Programs | None") -> None:
         """All that a pupil needs who comes here, as the first room's or from that `before`."""
-        state, controller = (
-            [_wide(leaf, self._tier.lanes, axis) for leaf in leaves]
-            for axis, leaves in zip((0, -1), self.shapes, strict=True)
-        )
+        self.empty.compile()
+        state, controller = self._wide
         learner, credit = (jax.tree.map(np.asarray, each) for each in (self._learner, self._credit))
         own = jax.tree.leaves(learner)
         learners = [_wide(leaf, self._tier.lanes, 0) for leaf in own]
@@ -249,7 +245,18 @@ class Programs:
         room, policy, human, *measured = numbers.tolist()
         return Known(bool(room), (int(policy), int(human)), dict(zip(self._measures, measured, strict=True)))
 
+    @property
+    def _wide(self) -> tuple[list[jax.ShapeDtypeStruct], list[jax.ShapeDtypeStruct]]:
+        """The shapes of a bench: of its state, and of its controller."""
+        lanes = self._tier.lanes
+        state, controller = self.shapes
+        return [_wide(leaf, lanes, 0) for leaf in state], [_wide(leaf, lanes, -1) for leaf in controller]
+
     # --- traced
+
+    def _empty(self) -> tuple[list[Array], list[Array]]:
+        state, controller = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self._wide)
+        return state, controller
 
     def _sized(self, state: State) -> State:
         return self._learner.resize(state, *self._tier.capacities)

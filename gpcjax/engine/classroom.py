@@ -121,16 +121,6 @@ class Classroom:
             state = learner.init(streams.first_key(seed))
         return self._place(Pupil(self, learner, seed, credit), state)
 
-    def admit(self, pupil: "Pupil") -> "Pupil":
-        """One from another classroom of this kind, at the same step, with all that it has learned. It is a copy.
-
-        Raises:
-            UserError: there is no free place.
-        """
-        copy = Pupil(self, pupil.learner, pupil.seed, pupil.credit)
-        copy.stand_as(pupil)
-        return self._place(copy, pupil.state)
-
     def leave(self, pupil: "Pupil") -> None:
         """Gives its place back."""
         with self.lock:
@@ -194,12 +184,6 @@ class Pupil(Desk):
         self._depth = 0 if credit is None else credit.reach
         self._past_obs = np.zeros((self._depth, learner.obs_size))
         self._past_action = np.zeros((self._depth, learner.action_size))
-
-    def stand_as(self, other: "Pupil") -> None:
-        """At the step at which another one of this kind stands."""
-        self._episode, self._time = other.episode, other.time
-        self._obs, self._action = other.obs, other.action
-        self._past_obs, self._past_action = other._past_obs.copy(), other._past_action.copy()
 
     @property
     def episode(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gpcjax.engine.classroom import Classroom, kind_of, lanes_for, rooms_of
-from gpcjax.engine.session import Session, credit_of, in_classroom, leave, moved_to, propose_together
+from gpcjax.engine.session import Session, credit_of, in_classroom, leave, propose_together
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.recording import Deferred, Recording
@@ -104,7 +104,7 @@ def test_it_goes_on_in_another_classroom(school, tmp_path):
     path = tmp_path / "moved.jsonl"
     path.write_bytes((school.folder / "5.jsonl").read_bytes() + b'{"event": "prop')
     other = Classroom(school.learner, credit_of(LATE), ROOMS, 3)
-    moved = moved_to(school.again(5), other, path)
+    moved = Session.replay(path, school.learner, go_on=True, check_from=10**6, classroom=other)
     for session in (before, moved):
         session.propose([0.3, -0.2])
         session.advise([1, -1])
