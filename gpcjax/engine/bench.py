@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,13 +29,12 @@ from gpcjax.learners.base import Info, Learner, State
 
 
 class Standing(NamedTuple):
-    """Where a pupil stands, as a correction takes it."""
+    """Where a pupil stands, as a correction takes it: few arrays, as each costs its share of a call."""
 
-    seed: Int[np.ndarray, ""]
-    episode: Int[np.ndarray, ""]
-    time: Int[np.ndarray, ""]
-    obs: Float[np.ndarray, " obs"]
-    action: Float[np.ndarray, " action"]
+    counts: Int[np.ndarray, " 4"]
+    """The pupil's place, its seed, episode and step."""
+    now: Float[np.ndarray, " numbers"]
+    """Observation and action of the present step, the advice, and the observation at which the policy is looked at."""
     past_obs: Float[np.ndarray, "depth obs"]
     """The steps before, as in `History`; none of them where advice is about the present step."""
     past_action: Float[np.ndarray, "depth action"]
@@ -71,15 +71,12 @@ class Bench:
         self.tier = tier
         self._programs = programs
         self.free = set(range(tier.lanes))
-        shapes = programs.shapes
-        self._state, self._controller, self._learner, self._credit = (
-            [np.zeros((tier.lanes, *leaf.shape), leaf.dtype) for leaf in shapes.state],
-            [np.zeros((*leaf.shape, tier.lanes), leaf.dtype) for leaf in shapes.controller],
-            [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)],
-            [np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)],
-        )
-        self._state = [jax.device_put(leaf) for leaf in self._state]
-        self._controller = [jax.device_put(leaf) for leaf in self._controller]
+        self._state, self._controller = programs.empty()
+        self._learner = [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)]
+        self._credit = [
+            np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)
+        ]
+        self._numbers = jax.device_put((self._learner, self._credit))
 
     def enter(self, learner: Learner, credit: Credit | None, state: State) -> tuple[int, Known]:
         """Puts a learner with this state, of this room or that before, into a free place: gives that."""
@@ -88,6 +85,7 @@ class Bench:
             mine[lane] = leaf
         for mine, leaf in zip(self._credit, jax.tree.leaves(credit), strict=True):
             mine[..., lane] = leaf
+        self._numbers = jax.device_put(([*map(np.copy, self._learner)], [*map(np.copy, self._credit)]))
         leaves, own = jax.tree.leaves(state), [np.asarray(leaf) for leaf in jax.tree.leaves(learner)]
         self._state, self._controller, numbers = self._programs.enter(
             self._state, self._controller, leaves, own, np.int32(lane)
@@ -110,18 +108,12 @@ class Bench:
         proposed = np.asarray(self._programs.propose(self._controller, obs))
         return proposed[:-1], proposed[-1] > 0
 
-    def correct(
-        self,
-        lane: int,
-        at: Standing,
-        advice: Float[np.ndarray, " action"],
-        about: Float[np.ndarray, " obs"],
-    ) -> Learned:
-        """Corrects the learner at a place; it is shown what that did at `about`."""
+    def correct(self, at: Standing) -> Learned:
+        """Corrects the learner at a place."""
         self._state, self._controller, info, packed = self._programs.correct(
-            self._state, self._controller, self._learner, self._credit, np.int32(lane), at, advice, about
+            self._state, self._controller, *self._numbers, at
         )
-        numbers, size = np.asarray(packed), len(advice)
+        numbers, size = np.asarray(packed), info.rate.shape[0]
         before, after = numbers[1 : size + 1], numbers[size + 1 : 2 * size + 1]
         return Learned(info, int(numbers[0]), before, after, self._programs.known(numbers[2 * size + 1 :]))
 
@@ -130,7 +122,7 @@ class Bench:
     ) -> Int[np.ndarray, " lanes"]:
         """Lets the learners at the places `waiting`, which are due, go on by themselves; gives what that came to."""
         self._state, self._controller, status = self._programs.idle(
-            self._state, self._controller, self._learner, self._credit, seeds, episodes, times, waiting
+            self._state, self._controller, *self._numbers, seeds, episodes, times, waiting
         )
         return np.asarray(status)
 
@@ -208,6 +200,7 @@ class Programs:
         self._learner_form, self._credit_form = jax.tree.structure(learner), jax.tree.structure(credit)
         self._measures = sorted(jax.eval_shape(learner.measure, state))
         self.shapes = Shapes(jax.tree.leaves(state), jax.tree.leaves(controller))
+        self.empty = Ahead(self._empty)
         self.propose = Ahead(self._propose)
         self.correct = Ahead(self._correct, donate=True)
         self.idle = Ahead(self._idle, donate=True)
@@ -219,24 +212,22 @@ class Programs:
 
     def compile(self, before: "Programs | None") -> None:
         """All that a pupil needs who comes here, as the first room's or from that `before`."""
-        state, controller = (
-            [_wide(leaf, self._tier.lanes, axis) for leaf in leaves]
-            for axis, leaves in zip((0, -1), self.shapes, strict=True)
-        )
+        self.empty.compile()
+        state, controller = self._wide
         learner, credit = (jax.tree.map(np.asarray, each) for each in (self._learner, self._credit))
         own = jax.tree.leaves(learner)
         learners = [_wide(leaf, self._tier.lanes, 0) for leaf in own]
         credits = [_wide(leaf, self._tier.lanes, -1) for leaf in jax.tree.leaves(credit)]
         lane, sizes = np.int32(0), (self._learner.obs_size, self._learner.action_size)
         obs, action = map(np.zeros, sizes)
-        number, past = np.array(0, np.int32), [np.zeros((self._depth, size)) for size in sizes]
-        at = Standing(np.array(0), number, number, obs, action, *past)
+        past = [np.zeros((self._depth, size)) for size in sizes]
+        at = Standing(np.zeros(4, np.int64), np.zeros(2 * sum(sizes)), *past)
         for shapes in [self.shapes.state] if before is None else [self.shapes.state, before.shapes.state]:
             self.enter.compile(state, controller, list(shapes), own, lane)
         self.take.compile(state, lane)
         self.propose.compile(controller, np.zeros((len(obs), self._tier.lanes)))
         self.acts_at.compile(controller, lane, obs[:, None])
-        self.correct.compile(state, controller, learners, credits, lane, at, action, obs)
+        self.correct.compile(state, controller, learners, credits, at)
         if self._learner.idle_every:
             seeds, numbers = (np.zeros(self._tier.lanes, kind) for kind in (np.int64, np.int32))
             waiting = np.zeros(self._tier.lanes, bool)
@@ -254,7 +245,18 @@ class Programs:
         room, policy, human, *measured = numbers.tolist()
         return Known(bool(room), (int(policy), int(human)), dict(zip(self._measures, measured, strict=True)))
 
+    @property
+    def _wide(self) -> tuple[list[jax.ShapeDtypeStruct], list[jax.ShapeDtypeStruct]]:
+        """The shapes of a bench: of its state, and of its controller."""
+        lanes = self._tier.lanes
+        state, controller = self.shapes
+        return [_wide(leaf, lanes, 0) for leaf in state], [_wide(leaf, lanes, -1) for leaf in controller]
+
     # --- traced
+
+    def _empty(self) -> tuple[list[Array], list[Array]]:
+        state, controller = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self._wide)
+        return state, controller
 
     def _sized(self, state: State) -> State:
         return self._learner.resize(state, *self._tier.capacities)
@@ -276,12 +278,13 @@ class Programs:
         controllers: list,
         learners: list,
         credits: list,
-        lane: Array,
         at: Standing,
-        advice: Array,
-        about: Array,
     ) -> tuple[Any, ...]:
-        width = self._tier.lanes
+        width, sizes = self._tier.lanes, (self._learner.obs_size, self._learner.action_size)
+        lane, episode, time = (at.counts[index].astype(jnp.int32) for index in (0, 2, 3))
+        obs, action, advice, about = jnp.split(
+            at.now, (sizes[0], sum(sizes), sum(sizes) + sizes[1])
+        )
         everywhere = lambda value: jnp.broadcast_to(value[..., None], (*value.shape, width))  # noqa: E731
         block = self._block(states, controllers, learners, credits)
         history = None
@@ -289,10 +292,10 @@ class Programs:
             history = History(obs=everywhere(at.past_obs), action=everywhere(at.past_action))
         block = dataclasses.replace(
             block,
-            env=dataclasses.replace(block.env, obs=everywhere(at.obs), time=everywhere(at.time)),
-            action=everywhere(at.action),
-            episode=everywhere(at.episode),
-            seed=everywhere(at.seed),
+            env=eqx.tree_at(lambda env: (env.obs, env.time), block.env, (everywhere(obs), everywhere(time))),
+            action=everywhere(action),
+            episode=everywhere(episode),
+            seed=everywhere(at.counts[1]),
             history=history,
         )
         # Of the others, none is advised: their places in the block are the same as this one's, and nobody reads them.
@@ -317,7 +320,7 @@ class Programs:
         waiting: Array,
     ) -> tuple[Any, ...]:
         block = self._block(states, controllers, learners, credits)
-        env = dataclasses.replace(block.env, time=times)
+        env = eqx.tree_at(lambda env: env.time, block.env, times)
         block = dataclasses.replace(block, env=env, seed=seeds, episode=episodes, waiting=waiting)
         after = correct(block, jnp.zeros_like(block.action))
         return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), after.status

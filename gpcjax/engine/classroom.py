@@ -121,16 +121,6 @@ class Classroom:
             state = learner.init(streams.first_key(seed))
         return self._place(Pupil(self, learner, seed, credit), state)
 
-    def admit(self, pupil: "Pupil") -> "Pupil":
-        """One from another classroom of this kind, at the same step, with all that it has learned. It is a copy.
-
-        Raises:
-            UserError: there is no free place.
-        """
-        copy = Pupil(self, pupil.learner, pupil.seed, pupil.credit)
-        copy.stand_as(pupil)
-        return self._place(copy, pupil.state)
-
     def leave(self, pupil: "Pupil") -> None:
         """Gives its place back."""
         with self.lock:
@@ -195,12 +185,6 @@ class Pupil(Desk):
         self._past_obs = np.zeros((self._depth, learner.obs_size))
         self._past_action = np.zeros((self._depth, learner.action_size))
 
-    def stand_as(self, other: "Pupil") -> None:
-        """At the step at which another one of this kind stands."""
-        self._episode, self._time = other.episode, other.time
-        self._obs, self._action = other.obs, other.action
-        self._past_obs, self._past_action = other._past_obs.copy(), other._past_action.copy()
-
     @property
     def episode(self) -> int:
         return self._episode
@@ -260,7 +244,9 @@ class Pupil(Desk):
             while not self.known.room and self._classroom.promote(self):
                 pass
             at = self._obs if about is None else about
-            learned = self.bench.correct(self.lane, self._standing(), advice, at)
+            counts = np.array([self.lane, self.seed, self._episode, self._time])
+            now = np.concatenate([self._obs, self._action, advice, at])
+            learned = self.bench.correct(Standing(counts, now, self._past_obs, self._past_action))
             self.known = learned.known
         return self, Advised(learned.info, learned.corrections, learned.before, learned.after)
 
@@ -321,17 +307,6 @@ class Pupil(Desk):
     def leave(self) -> None:
         """Gives its place back."""
         self._classroom.leave(self)
-
-    def _standing(self) -> Standing:
-        return Standing(
-            np.array(self.seed),
-            np.array(self._episode, np.int32),
-            np.array(self._time, np.int32),
-            self._obs,
-            self._action,
-            self._past_obs,
-            self._past_action,
-        )
 
 
 def propose(

@@ -359,6 +359,7 @@ class Session:
         go_on: bool = False,
         told: "Told | None" = None,
         check_from: int = 0,
+        classroom: Classroom | None = None,
     ) -> "Session":
         """The session whose events are in the file `record`, made again: the same to the bit, on the same machine.
 
@@ -369,29 +370,48 @@ class Session:
             told: called after each event with the session, the event, and what its method gave.
             check_from: the first episode in which actions are worked out anew. Those before, of a session in a
                 classroom, are taken as they were recorded, which is a hundred times as fast.
+            classroom: where there is a place for it, of a session in a classroom; without one, in one of its own.
 
         Raises:
             ValueError: the file cannot be read, is no recording, or one of another kind of learner; or an action is
                 another one than was recorded, as on another kind of machine. The message names line and step.
         """
         first, events = Recording.read(record)
-        session = cls._at(str(record), learner, state, first)
-        for number, event in enumerate(events, 2):
-            try:
-                quickly = event["episode"] < check_from and isinstance(session._desk, Pupil)
-                outcome = session._again(event, quickly)
-            except UserError as error:
-                raise UserError(f"{record}, line {number}: {error}") from None
-            if (session.episode, session.step) != (event["episode"], event["step"]):
-                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
-            if told is not None:
-                told(session, event, outcome)
-        if go_on:
-            session._recording = Recording.again(record)
+        session = cls._at(str(record), learner, state, first, classroom)
+        try:
+            session._replay(record, events, told, check_from)
+            if go_on:
+                kind = Recording if classroom is None else Deferred
+                session._recording = kind.again(record)
+        except BaseException:
+            if classroom is not None:
+                leave(session)
+            raise
         return session
 
+    def _replay(
+        self, record: Any, events: Sequence[Mapping[str, Any]], told: "Told | None", check_from: int
+    ) -> None:
+        for number, event in enumerate(events, 2):
+            try:
+                quickly = event["episode"] < check_from and isinstance(self._desk, Pupil)
+                outcome = self._again(event, quickly)
+            except UserError as error:
+                raise UserError(f"{record}, line {number}: {error}") from None
+            if (self.episode, self.step) != (event["episode"], event["step"]):
+                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
+            if told is not None:
+                told(self, event, outcome)
+
     @classmethod
-    def _at(cls, source: str, learner: Learner, state: State | None, kept: Mapping[str, Any]) -> "Session":
+    def _at(
+        cls,
+        source: str,
+        learner: Learner,
+        state: State | None,
+        kept: Mapping[str, Any],
+        classroom: Classroom | None = None,
+    ) -> "Session":
         """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
@@ -401,7 +421,7 @@ class Session:
             if rooms is None:
                 session = cls(learner, state, **settings)
             else:
-                session = cls._in_classroom(learner, state, settings)
+                session = cls._in_classroom(learner, state, settings, classroom)
             session._move(place)
         except UserError as error:
             raise UserError(f"{source}: {error}") from None
@@ -410,10 +430,19 @@ class Session:
         return session
 
     @classmethod
-    def _in_classroom(cls, learner: Learner, state: State | None, settings: dict[str, Any]) -> "Session":
-        """A session in a classroom of its own: to the bit what it is among others."""
-        credit = credit_of(settings)
-        classroom = Classroom(learner, credit, rooms_of(settings[ROOMS]), 1)
+    def _in_classroom(
+        cls,
+        learner: Learner,
+        state: State | None,
+        settings: dict[str, Any],
+        classroom: Classroom | None,
+    ) -> "Session":
+        """A session in a classroom, or in one of its own: to the bit it is the same."""
+        credit, rooms = credit_of(settings), rooms_of(settings[ROOMS])
+        if classroom is None:
+            classroom = Classroom(learner, credit, rooms, 1)
+        elif rooms_of(classroom.rooms) != rooms:
+            raise UserError("its dictionaries grew in other steps than they do here")
         return cls._seated(learner, classroom.enter(learner, settings["seed"], credit, state), settings)
 
     def _place(self) -> dict[str, Any]:
@@ -518,21 +547,6 @@ def in_classroom(
     except UserError:
         classroom.leave(desk)
         raise
-    return session
-
-
-def moved_to(session: Session, classroom: Classroom, recording: Path) -> Session:
-    """The session at a free desk of another classroom, going on with its recording.
-
-    Raises:
-        UserError: all places are taken, or the recording cannot be written.
-    """
-    old = session._desk
-    assert isinstance(old, Pupil)
-    recorded = Deferred.again(recording)
-    session._desk = classroom.admit(old)
-    session._record(recorded)
-    old.leave()
     return session
 
 

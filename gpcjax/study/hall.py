@@ -68,18 +68,17 @@ class Hall:
         self._context = contextlib.ExitStack()
         self._clock = threading.Thread(target=self._run, daemon=True, name="clock")
         self._learning = threading.Thread(target=self._learn, daemon=True, name="learning")
-        self._ahead = threading.Thread(target=self._compile_ahead, daemon=True, name="compiling ahead")
 
     def start(self) -> None:
-        """Compiles what runs need as they begin, and starts. What they need later is compiled beside."""
+        """Compiles all that runs need, also what they need when dictionaries have grown, and starts."""
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda kind: kind.compile(first=True), self._kinds.values()))
+            list(pool.map(lambda kind: kind.compile(), self._kinds.values()))
         self._context.enter_context(one_thread())
         gc.collect()
         gc.freeze()  # what was loaded stays: to look through it takes longer than a step
         self._context.callback(gc.unfreeze)
         self._papers, self._door = Errands(self.fault), Errands(self.fault)
-        for thread in (self._clock, self._learning, self._ahead):
+        for thread in (self._clock, self._learning):
             thread.start()
 
     def close(self) -> None:
@@ -105,6 +104,9 @@ class Hall:
             raise UserError(f"{run.course.algo} on {run.course.env}, with these settings, is not taught here")
         seat = Seat(self, kind, run, say)
         with self._taking:
+            here = next((each for each in self._seats if each.run.folder == run.folder and not each.left), None)
+            if here is not None:
+                raise UserError(f"{run.folder}: somebody is at this run, who must leave before")
             if len(self._seats) >= self._places:
                 raise UserError(f"all {self._places:,} places are taken: try again when somebody has left")
             if any(each.run.folder == run.folder for each in self._seats):  # one that is just being left
@@ -133,9 +135,9 @@ class Hall:
         if seat.behind and seat.runs:
             self._steps(seat.kind, [seat], 0.0)
 
-    def keeps(self, seat: Seat) -> None:
+    def keeps(self, seat: Seat, apart: float = KEEP_APART) -> None:
         """Has policy and rows written as they are."""
-        self._ask("keep", seat, lambda: self._keep(seat), KEEP_APART)
+        self._ask("keep", seat, lambda: self._keep(seat), apart)
 
     def completes(self, seat: Seat) -> None:
         """Has all written, and tells so."""
@@ -162,9 +164,10 @@ class Hall:
                 with seat.lock, self._taking:
                     if seat.taught is not None:
                         seat.kind.release(seat.taught)
+                        seat.held.close()
                     seat.taught = None
-                    seat.held.close()
                     self._seats.discard(seat)
+                seat.gone.set()
 
         self._ask("leave", seat, write)
 
@@ -180,9 +183,12 @@ class Hall:
 
     def fault(self, error: BaseException) -> None:
         """Tells what should not have happened."""
-        self._say_problem(
-            str(error) if isinstance(error, UserError) else f"a fault of gpcjax: {type(error).__name__}: {error}"
-        )
+        self._say_problem(self._words(error))
+
+    @staticmethod
+    def _words(error: BaseException) -> str:
+        told = isinstance(error, UserError | OSError)
+        return str(error) if told else f"a fault of gpcjax: {type(error).__name__}: {error}"
 
     # --- the door, and papers
 
@@ -196,21 +202,28 @@ class Hall:
     def _prepare(self, seat: Seat) -> None:
         if seat.left:
             return
+        with self._taking:
+            before = [each for each in self._seats if each is not seat and each.run.folder == seat.run.folder]
+        for each in before:  # who was there is leaving: its last steps are being written
+            each.gone.wait()
         try:
             seat.run.folder.mkdir(parents=True, exist_ok=True)
             seat.held.enter_context(held(seat.run.folder))
             taught = seat.kind.prepare(seat.run)
-        except (UserError, OSError) as error:
+        except Exception as error:
             seat.held.close()
-            text = str(error)
+            text = self._words(error)
             self.does(lambda: seat.problem(text))
             return
         self.does(lambda: self._sit(seat, taught))
 
     def _sit(self, seat: Seat, taught: Taught) -> None:
+        if seat.left:
+            seat.kind.release(taught)
+            seat.held.close()
+            return
         seat.sits(taught)
-        if not seat.left:
-            self._flush(seat)
+        self._flush(seat)
 
     def _ask(self, name: str, seat: Seat, do: Callable[[], object], apart: float = 0.0) -> None:
         self._papers.ask(f"{name} {id(seat)}", lambda: do() and None, apart)
@@ -232,16 +245,11 @@ class Hall:
         seat.catch_up()
         try:
             write()
-        except (UserError, OSError) as error:
-            text = str(error)
+        except Exception as error:
+            text = self._words(error)
             self.does(lambda: seat.problem(text))
             return False
         return True
-
-    def _compile_ahead(self) -> None:
-        for kind in self._kinds.values():
-            if not self._closing:
-                kind.compile(first=False)
 
     # --- learning
 
@@ -274,7 +282,12 @@ class Hall:
         running = [seat for seat in self._seats_of(kind) if seat.runs]
         kind.due += kind.seconds + (behind if behind > LATEST else 0.0)
         if running:
-            self._steps(kind, running, 1000 * behind)
+            try:
+                self._steps(kind, running, 1000 * behind)
+            except Exception as error:  # of ours: all of this kind would meet it at each step
+                self.fault(error)
+                for seat in running:
+                    seat.breaks(self._words(error))
         else:
             kind.due = math.inf
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpcjax.engine.session import Session
+from gpcjax.errors import UserError
 from gpcjax.teach.course import Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Advised, Taught
@@ -74,6 +75,8 @@ class Seat:
         self.over = self.left = self.broken = False
         """Complete; given back; at a step from which it cannot go on."""
         self._paused, self._why, self._problem = True, "preparing", None
+        self.gone = threading.Event()
+        """Set when the place is free again."""
         self.sigma: list[float] | None = None
         self.sigma_asked = 0.0
         self.held = contextlib.ExitStack()
@@ -207,7 +210,11 @@ class Seat:
                 return
             if press.shown and press.shown < self._first_of_episode:
                 return
-            self._tell(self._advised(press, taught.advise(press, self.kind.credited)))
+            try:
+                self._tell(self._advised(press, taught.advise(press, self.kind.credited)))
+            except UserError as error:
+                text = str(error)
+                self._hall.does(lambda: self.problem(text))
         self.catch_up()
 
     def catch_up(self) -> None:
@@ -222,7 +229,7 @@ class Seat:
             self._state()
         elif why is not None:
             self.rests(why)
-            self._hall.keeps(self)
+            self._hall.keeps(self, 0.0)
         elif self._why != "problem" or self._hall.writes(self):
             self._paused, self._why = False, ""
             self._hall.wakes(self.kind)

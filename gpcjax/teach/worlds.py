@@ -16,7 +16,6 @@ from jaxtyping import Float
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Ahead
 from gpcjax.engine.classroom import lanes_for
-from gpcjax.engine.lanewise import put, take
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
@@ -46,15 +45,13 @@ class Worlds:
             ]
             self._width = lanes
             self._begin, self._step = Ahead(self._begun), Ahead(self._stepped)
-            self._take, self._put = Ahead(lambda leaves, lane: take(leaves, lane, -1)), Ahead(self._placed)
 
     def compile(self) -> None:
         """All that a simulation needs."""
         if isinstance(self.env, Env):
-            lane, numbers = np.int32(0), np.zeros(self._width, np.int64)
+            numbers = np.zeros(self._width, np.int64)
             self._begin.compile(self._state, numbers, numbers, np.zeros(self._width, bool))
             self._step.compile(self._state, *self._actions([], []))
-            self._put.compile(self._state, lane, self._take(self._state, lane))
 
     def enter(self, seed: int) -> "World | Place":
         """A simulation with the starts of this seed; `begin` comes first."""
@@ -63,25 +60,11 @@ class Worlds:
         with self._lock:
             return Place(self, self._free.pop(), seed)
 
-    def admit(self, other: "World | Place") -> "World | Place":
-        """A simulation of this task from elsewhere, as it is."""
-        if isinstance(other, World):
-            return other
-        mine = self.enter(other.seed)
-        assert isinstance(mine, Place)
-        with self._lock:
-            self._state = self._put(self._state, np.int32(mine.lane), other.worlds.taken(other.lane))
-        return mine
-
     def leave(self, place: "World | Place") -> None:
         """It is not needed any more."""
         if isinstance(place, Place):
             with self._lock:
                 self._free.add(place.lane)
-
-    def taken(self, lane: int) -> list[Any]:
-        """The state of the one at a lane."""
-        return self._take(self._state, np.int32(lane))
 
     def begin(
         self, lanes: Sequence[int], seeds: Sequence[int], episodes: Sequence[int]
@@ -132,9 +115,6 @@ class Worlds:
         kept = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, before)
         seen = jnp.concatenate([after.obs, after.reward[None], after.done[None].astype(after.obs.dtype)])
         return jax.tree.leaves(kept), seen
-
-    def _placed(self, leaves: list, lane: Any, one: list) -> list:
-        return put(leaves, lane, one, -1)
 
 
 class Place:
