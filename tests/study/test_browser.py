@@ -171,7 +171,7 @@ def test_from_the_link_to_the_code(browser, tmp_path, killed):
     assert "frame" in heard and not any(word in heard for word in ("gpc", "coach", "sigma_human", '"rate'))
     kept = json.loads((out / "participants/p0001/participant.json").read_bytes())
     assert [each["value"] for each in kept["answers"]] == [6, "<script>alert(1)</script>"]
-    for name in ("01-dummy-A-cartpole", "02-recorded-A-cartpole"):
+    for name in ("01-dummy-A-cartpole", "02-recorded-A-cartpole")[: 1 + killed]:
         folder = out / "participants/p0001/runs" / name
         done = subprocess.run(
             [sys.executable, "-m", "gpcjax", "replay", str(folder)],

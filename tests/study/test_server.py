@@ -345,6 +345,28 @@ def test_answers_that_are_none_are_told(running):
     page.until("step", kind="run")
 
 
+def test_no_code_before_all_is_on_the_disk(running, monkeypatch):
+    page = running.client()
+    page.to_first_run()
+    one = running.register.get("alpha")
+    one.kept.step = len(one.steps) - 1
+    page.close()
+    page = running.client()
+    page.until("step", name="questions-end")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("gpcjax.study.participant.write_atomic", full)
+        page.says("answers", values={})
+        assert "technical problem" in page.until("problem")["text"]
+        again = running.client(take=True)
+        assert again.until("step")["name"] == "questions-end"
+    again.says("answers", values={})
+    assert again.until("ended")["code"] == "C0FFEE"
+
+
 # --- coming back
 
 

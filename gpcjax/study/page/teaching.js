@@ -10,6 +10,9 @@ import { Pads } from "/page/pads.js";
 import { Presses } from "/page/presses.js";
 import { Stage } from "/page/stage.js";
 
+/** Of tasks that paint pictures themselves, for which nobody has the time where many teach. */
+const SCENES = { lunarlander: "lander" };
+
 const PAUSED = {
   you: ["Paused", "Take your time. The task waits for you."],
   connection: ["Connected again", "The task waited for you, and nothing is lost."],
@@ -116,7 +119,7 @@ export class Teaching {
       case "task":
         this.waiting = "";
         this.presses.releaseAll();
-        lesson.begin({ ...content, ...content.task });
+        lesson.begin({ ...content, ...content.task, scene: SCENES[content.task.name] ?? content.task.scene });
         lesson.ready = true;
         this.pair = 0;
         this.presses.repeat = content.repeat || 8;
