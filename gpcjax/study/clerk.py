@@ -62,7 +62,7 @@ class Clerk:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(told)
         self._process.stdin.flush()
-        return pickle.load(self._process.stdout)  # noqa: S301  (of our own process)
+        return pickle.load(self._process.stdout)
 
     @staticmethod
     def _begun() -> subprocess.Popen[bytes]:
@@ -80,9 +80,9 @@ def main() -> None:
     os.nice(SLOWER)
     asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    with contextlib.suppress(EOFError):
+    with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
-            _answer(pickle.load(asked), answers)  # noqa: S301  (of the process that began this)
+            _answer(pickle.load(asked), answers)
 
 
 def _answer(kept: Any, answers: IO[bytes]) -> None:

@@ -12,6 +12,7 @@ A run that is being corrected misses no step: it is caught up with as soon as th
 """
 
 import contextlib
+import functools
 import gc
 import math
 import queue
@@ -109,7 +110,9 @@ class Hall:
             raise UserError(f"{run.course.algo} on {run.course.env}, with these settings, is not taught here")
         seat = Seat(self, kind, run, say)
         with self._taking:
-            here = next((each for each in self._seats if each.run.folder == run.folder and not each.left), None)
+            here = next(
+                (each for each in self._seats if each.run.folder == run.folder and not each.left), None
+            )
             if here is not None:
                 raise UserError(f"{run.folder}: somebody is at this run, who must leave before")
             if len(self._seats) >= self._places:
@@ -203,7 +206,11 @@ class Hall:
 
     def _add(self, course: Course) -> None:
         learner = Kind.learner_of(course)
-        key = course.env, kind_of(learner, credit_of(settings_of(course))), dict(course.settings).get("credit")
+        key = (
+            course.env,
+            kind_of(learner, credit_of(settings_of(course))),
+            dict(course.settings).get("credit"),
+        )
         if key not in self._kinds:
             self._kinds[key] = Kind(course, self._places)
         self._kind_of[_of(course)] = self._kinds[key]
@@ -235,7 +242,10 @@ class Hall:
         self._flush(seat)
 
     def _ask(self, name: str, seat: Seat, do: Callable[[], object], apart: float = 0.0) -> None:
-        self._papers.ask(f"{name} {id(seat)}", lambda: do() and None, apart)
+        def done() -> None:
+            do()
+
+        self._papers.ask(f"{name} {id(seat)}", done, apart)
 
     def _flush(self, seat: Seat) -> None:
         def flush() -> None:
@@ -279,7 +289,7 @@ class Hall:
             kind = min(self._kinds.values(), key=lambda kind: kind.due)
             wait = kind.due - time.perf_counter()
             if wait <= 0:
-                self._guarded(lambda: self._tick(kind, -wait))
+                self._guarded(functools.partial(self._tick, kind, -wait))
                 continue
             with contextlib.suppress(queue.Empty):
                 self._guarded(self._queue.get(timeout=None if wait == math.inf else wait))
@@ -335,9 +345,11 @@ class Hall:
             for seat in free:
                 seat.closes()
             going = [seat for seat in free if seat.next is not None]
-            raised = propose_together(
-                [seat.session for seat in going], np.array([seat.next for seat in going])
-            ) if going else []
+            raised = (
+                propose_together([seat.session for seat in going], np.array([seat.next for seat in going]))
+                if going
+                else []
+            )
             for seat, error in zip(going, raised, strict=True):
                 seat.proposes(error)
         finally:

@@ -90,7 +90,8 @@ class Seat:
 
     def press(self, press: Press) -> None:
         """An advice; one while it rests, or about an episode that is over, is none."""
-        self._hall.learns(lambda: self._learn(press))
+        if self.runs:
+            self._hall.learns(lambda: self._learn(press))
 
     def go_on(self) -> None:
         """Runs, from the next tick on."""
@@ -139,9 +140,7 @@ class Seat:
         if taught is None:
             return Standing(0, 0, 0.0, 0, *rests)
         present = taught.present
-        return Standing(
-            self._finished, present.length, present.total, taught.session.corrections, *rests
-        )
+        return Standing(self._finished, present.length, present.total, taught.session.corrections, *rests)
 
     def sits(self, taught: Taught) -> None:
         """What was prepared: from here on it rests, and is told."""

@@ -1,5 +1,6 @@
 """Runs of several participants on one clock, on a task that takes no time: what they are told, and what is left."""
 
+import itertools
 import json
 import shutil
 import threading
@@ -102,7 +103,13 @@ def replayed(folder):
 def test_a_run_from_its_beginning_to_its_end(hall, tmp_path):
     page = Page(hall, tmp_path / "run", seed=5, episodes=3)
     frame = page.wait("frame")
-    assert (frame["n"], frame["episode"], frame["step"], frame["sigma"], frame["prior"]) == (1, 0, 0, None, None)
+    assert (frame["n"], frame["episode"], frame["step"], frame["sigma"], frame["prior"]) == (
+        1,
+        0,
+        0,
+        None,
+        None,
+    )
     assert page.wait("state") == {
         "type": "state", "mode": "teach", "paused": True, "why": "start", "speed": 1.0, "undos": 0
     }  # fmt: skip
@@ -194,9 +201,9 @@ def test_it_goes_on_where_it_was_left(hall, tmp_path):
     again.gone()
     done = replayed(folder)
     assert done.tally.corrections == 8 and done.session.points[1] > 4
-    assert left.corrections == 0 or left.corrections == 7
+    assert left.corrections == 7 or left.why == "left"
     times = [event["time"] for event in Recording.read(folder / RECORD)[1]]
-    assert any(later < earlier for earlier, later in zip(times, times[1:], strict=False))  # two programs
+    assert any(later < earlier for earlier, later in itertools.pairwise(times))  # two programs
 
 
 def test_a_process_that_died(hall, tmp_path):
@@ -267,7 +274,10 @@ def test_what_is_not_taught_here_is_refused(hall, tmp_path):
     [
         (lambda folder: (folder / COURSE).write_text("{}"), "damaged"),
         (lambda folder: course(seed=8).write(folder), "something else is taught there"),
-        (lambda folder: (course().write(folder), (folder / RECORD).write_text("{}\n")), "no record of a session"),
+        (
+            lambda folder: (course().write(folder), (folder / RECORD).write_text("{}\n")),
+            "no record of a session",
+        ),
     ],
 )
 def test_a_damaged_folder_is_told(hall, tmp_path, does, message):
