@@ -37,15 +37,18 @@ TICK, PRESS = 5.0, 60.0
 BURST, ROUND, APART = 2.0, 6.0, 1 / 8
 """Seconds: somebody presses for so long, out of so many, so far apart."""
 
+TEACHERS, SECONDS = "1,8,64,128,256", 20.0
+"""Numbers of teachers, and for how long each is measured."""
+
 WARM = 2.0
 """Seconds before what is measured."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--teachers", default="1,8,64,128,256", help="how many, number by number")
+    parser.add_argument("--teachers", default=TEACHERS, help="how many, number by number")
     parser.add_argument("--kinds", default="cartpole/gpc", help="TASK/LEARNER, one or several")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--serve", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--teach", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -55,12 +58,17 @@ def main() -> None:
         port, count = map(int, arguments.teach.split(","))
         print(json.dumps(asyncio.run(teach(port, count, arguments.seconds))))
     else:
-        for count in map(int, arguments.teachers.split(",")):
-            figures = measure(count, arguments.kinds, arguments.seconds)
-            print(json.dumps(figures), flush=True)
-            if figures["tick_ms"]["p95"] > TICK or figures["press_ms"]["p95"] > PRESS:
-                print(f"{count} are too many: it ends there", file=sys.stderr)
-                break
+        run(arguments.teachers, arguments.kinds, arguments.seconds)
+
+
+def run(teachers: str, kinds: str, seconds: float) -> None:
+    """A line of figures for each number of teachers, up to the first that is too many."""
+    for count in map(int, filter(None, teachers.split(","))):
+        figures = measure(count, kinds, seconds)
+        print(json.dumps(figures), flush=True)
+        if figures["tick_ms"]["p95"] > TICK or figures["press_ms"]["p95"] > PRESS:
+            print(f"{count} are too many: it ends there", file=sys.stderr)
+            break
 
 
 def measure(count: int, kinds: str, seconds: float) -> dict[str, Any]:

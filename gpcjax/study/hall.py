@@ -33,7 +33,7 @@ from gpcjax.study.seat import Run, Say, Seat, Standing
 from gpcjax.sweep.lock import held
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
-from gpcjax.teach.taught import Taught, settings_of
+from gpcjax.teach.taught import Kept, Taught, settings_of
 from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]
@@ -115,7 +115,7 @@ class Hall:
             )
             if here is not None:
                 raise UserError(f"{run.folder}: somebody is at this run, who must leave before")
-            if len(self._seats) >= self._places:
+            if self._taken >= self._places:
                 raise UserError(f"all {self._places:,} places are taken: try again when somebody has left")
             self._seats.add(seat)
         self._door.ask(f"{id(seat)}", lambda: self._prepare(seat))
@@ -125,7 +125,11 @@ class Hall:
     def free(self) -> int:
         """Places that nobody has."""
         with self._taking:
-            return self._places - len(self._seats)
+            return self._places - self._taken
+
+    @property
+    def _taken(self) -> int:
+        return sum(not seat.released for seat in self._seats)
 
     # --- for seats
 
@@ -168,17 +172,23 @@ class Hall:
         seat.left = True
 
         def write() -> None:
+            sat, kept = seat.taught is not None, None
             try:
                 if seat.taught is not None:
                     self.writes(seat)
-                    self._keep(seat)
-            finally:
+                    kept = self._kept(seat, seat.taught)
                 with seat.lock, self._taking:
                     if seat.taught is not None:
                         seat.kind.release(seat.taught)
-                        seat.held.close()
-                    seat.taught = None
+                    seat.taught, seat.released = None, True
+                if kept is not None:  # which takes a while: the place is free before
+                    self._clerk.write(kept)
+            finally:
+                with self._taking:
+                    seat.taught, seat.released = None, True
                     self._seats.discard(seat)
+                if sat:
+                    seat.held.close()
                 seat.gone.set()
 
         self._ask("leave", seat, write)
@@ -259,16 +269,21 @@ class Hall:
         taught = seat.taught
         if taught is None:
             return False
-        with seat.lock:
-            kept = taught.kept()
-        seat.catch_up()
         try:
-            self._clerk.write(kept(taught.session))
+            self._clerk.write(self._kept(seat, taught))
         except Exception as error:
             text = self._words(error)
             self.does(lambda: seat.problem(text))
             return False
         return True
+
+    @staticmethod
+    def _kept(seat: Seat, taught: Taught) -> Kept:
+        """What is written of a run, as it is now."""
+        with seat.lock:
+            kept = taught.kept()
+        seat.catch_up()
+        return kept(taught.session)
 
     # --- learning
 

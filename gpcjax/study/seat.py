@@ -78,8 +78,10 @@ class Seat:
         self.over = self.left = self.broken = False
         """Complete; given back; at a step from which it cannot go on."""
         self._paused, self._why, self._problem = True, "preparing", None
+        self.released = False
+        """The place is free again."""
         self.gone = threading.Event()
-        """Set when the place is free again."""
+        """Set when all is written, too."""
         self.sigma: list[float] | None = None
         self.sigma_asked = 0.0
         self.held = contextlib.ExitStack()
