@@ -14,7 +14,7 @@ import sys
 import threading
 from typing import IO, Any
 
-from gpcjax.sweep.environment import python, worker_environment
+from gpcjax.sweep.environment import computing_environment, python, worker_environment
 
 SLOWER = 10
 """By how much its priority is lower: steps come first."""
@@ -70,7 +70,7 @@ class Clerk:
             python("gpcjax.study.clerk"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=worker_environment(),
+            env={**worker_environment(), **computing_environment("cpu")},
         )
 
 
