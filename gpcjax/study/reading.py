@@ -195,12 +195,13 @@ def _episodes(table: Table, tasks: tuple[str, ...]) -> dict[str, int]:
     for name in value or ():
         if name not in tasks:
             raise UserError(f"{source} {shown(name)} is no task of this study: give {', '.join(tasks)}")
-    given = {name: checked(f"{source} {name}", each, int, EPISODES) for name, each in (value or {}).items()}
+    found: dict[str, int] = {}
     for task in tasks:
-        usual = find("task", task).episodes
-        if given.setdefault(task, usual) is None:
+        each = (value or {}).get(task, find("task", task).episodes)
+        if each is None:
             raise UserError(f"{source} {task} is missing: the task has no usual number, give one")
-    return given
+        found[task] = checked(f"{source} {task}", each, int, EPISODES)
+    return found
 
 
 def _text(table: Table) -> str:
