@@ -53,6 +53,7 @@ TAKES_oracles := ENV
 TAKES_reproduce := QUICK ONLY OUT JOBS
 TAKES_publish := OUT JOBS
 TAKES_teach := ENV ALGO ORACLE LP LH CREDIT OUT ARGS
+TAKES_study := SPEC OUT ARGS
 TAKES_bench := ARGS
 TAKES_bench-teach := ARGS
 TAKES_test := ARGS
@@ -90,7 +91,7 @@ REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only O
 NO_SWITCH = $(filter-out 0 1,$(QUICK))$(word 2,$(QUICK))
 $(if $(and $(filter reproduce,$(GOALS)),$(NO_SWITCH)),$(error QUICK=$(call quoted,QUICK): give 1, or nothing for all of it))
 
-.PHONY: help sweep grid tune report compare reproduce publish oracles teach bench bench-teach test test-all torture
+.PHONY: help sweep grid tune report compare reproduce publish oracles teach study bench bench-teach test test-all torture
 .PHONY: docs dist lint format lock clean
 help: ## this list (default)
 	@sed -n -e 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 18
@@ -123,6 +124,9 @@ publish: $(READY) ## reproduce, then make all numbers and pictures of README and
 
 teach: $(READY) ## teach a policy by hand, in the browser (ENV=, ALGO=; OUT= goes on)
 	$(call with_args,$(GPCJAX) teach $(foreach pair,$(FLAGS),$(if $(filter $(call name,$(pair)),$(TAKES_teach)),$(call flag,$(pair)))))
+
+study: $(READY) ## hold a study with people, many at once (SPEC=sweeps/study_thesis.toml; OUT= goes on)
+	$(call with_args,$(GPCJAX) study $(if $(SPEC),$(call quoted,SPEC)) $(call flag,OUT:out))
 
 bench: $(READY) ## measure the throughput
 	$(call with_args,.venv/bin/python -m benchmarks.throughput)

@@ -17,9 +17,12 @@ Numbers are written with all their digits. What began in another program than th
 
 import contextlib
 import errno
+import itertools
 import json
 import math
 import os
+import threading
+from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -71,12 +74,15 @@ class Recording:
 
     def append(self, event: Mapping[str, Any]) -> None:
         """Writes one event. Raises UserError: it cannot be written, or the file was taken away."""
-        line = json.dumps(event, allow_nan=False) + "\n"
+        self._write(_line(event).encode())
+
+    def _write(self, lines: bytes) -> None:
+        """All of it or nothing."""
         with _writing(self._path), open(self._path, "ab", buffering=0, opener=_existing) as file:
             before = file.seek(0, os.SEEK_END)
             try:
-                written = file.write(line.encode())
-                if written < len(line):  # a full disk takes a part
+                written = file.write(lines)
+                if written < len(lines):  # a full disk takes a part
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             except OSError:
                 with contextlib.suppress(OSError):
@@ -109,6 +115,37 @@ class Recording:
             if not _is_event(event):
                 raise UserError(f"{path}, line {number}: this is no event of a session")
         return parsed[0], parsed[1:]
+
+
+class Deferred(Recording):
+    """A recording whose lines are written by `flush`, from whatever thread: who appends never waits for a disk.
+
+    What cannot be written is kept, and tried again with the next flush.
+    """
+
+    def __init__(self, path: Path):
+        super().__init__(path)
+        self._waiting: deque[Mapping[str, Any]] = deque()
+        self._flushing = threading.Lock()
+
+    def append(self, event: Mapping[str, Any]) -> None:
+        """Takes one event."""
+        self._waiting.append(event)
+
+    def flush(self) -> None:
+        """Writes all that was appended, and has it on the disk. Raises UserError: it cannot be written."""
+        with self._flushing:
+            taken = list(itertools.islice(self._waiting, len(self._waiting)))
+            if not taken:
+                return
+            self._write("".join(map(_line, taken)).encode())
+            for _ in taken:
+                self._waiting.popleft()
+            super().flush()
+
+
+def _line(event: Mapping[str, Any]) -> str:
+    return json.dumps(event, allow_nan=False) + "\n"
 
 
 def _existing(path: str, flags: int) -> int:

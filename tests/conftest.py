@@ -69,6 +69,7 @@ longer; programs that are compiled ahead, as a pool's, are never looked at.
 
 COMPILED_PLAINLY = (
     "deploy/",
+    "engine/test_classroom.py",
     "engine/test_evaluate.py",
     "engine/test_host.py",
     "engine/test_keeping.py",
@@ -99,6 +100,7 @@ COMPILED_PLAINLY = (
     "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "study/",
     "sweep/test_executables.py",
     "sweep/test_lander.py",
     "sweep/test_ppo.py",

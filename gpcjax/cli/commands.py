@@ -5,6 +5,7 @@ from dataclasses import replace
 from gpcjax.cli.flags import JSON, WHERE, Command, Flag, flag_of, help_of
 from gpcjax.cli.policy import POLICY
 from gpcjax.reproduce.parts import PARTS, folder
+from gpcjax.study.command import PLACES, USUAL_PLACES
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OF_CREDIT,
@@ -142,6 +143,30 @@ def _teach() -> Command:
     )
 
 
+def _study() -> Command:
+    flags = (
+        Flag(
+            "--out",
+            f"folder that keeps it, or has kept it and goes on ({_FOLDER}; default runs/study-NAME-NUMBER)",
+            "OUT",
+            _FOLDER,
+        ),
+        Flag("--host", "listens on this address (default 127.0.0.1)", "HOST", "an address"),
+        Flag("--port", "on this port (default the first from 8765 on that is free)", "PORT", str(PORT)),
+        Flag(
+            "--address",
+            "https://HOST, as participants open it, where a proxy with TLS hands it on",
+            "ADDRESS",
+            "https://HOST",
+        ),
+        Flag("--places", f"people who teach at once ({PLACES}; default {USUAL_PLACES})", "N", str(PLACES)),
+    )
+    text = (
+        "the TOML file of a study; or status OUT, how far it is; or delete OUT CODE, a participant everywhere"
+    )
+    return Command(_TEXTS["study"], (("", flags),), word="STUDY", word_text=text, several=True)
+
+
 def _compare() -> Command:
     flags = (
         Flag(
@@ -214,6 +239,7 @@ _TEXTS = {
     "oracles": "learn the shipped oracles again",
     "reproduce": "run the experiments of the thesis, and say what becomes of its claims",
     "teach": "teach a policy by hand, in the browser",
+    "study": "hold a study: people teach blind, many at once, in the browser",
     "play": "show a policy in a window, or as an animated GIF",
     "policy": "say what a policy is and how well it does, and export it",
     "replay": "make what was taught by hand again, and see whether it comes to the same",
@@ -261,6 +287,7 @@ COMMANDS = {
         ),
     ),
     "teach": _teach(),
+    "study": _study(),
     "play": _play(),
     "policy": Command(_TEXTS["policy"], parts=POLICY),
     "replay": Command(_TEXTS["replay"], word="OUT", word_text="a folder of gpcjax teach", needed=True),

@@ -147,6 +147,10 @@ def _run(words: Sequence[str]) -> int:
             from gpcjax.teach.command import by_hand
 
             return by_hand(arguments, grammar.settings(arguments))
+        case "study":
+            from gpcjax.study.command import study
+
+            return study(arguments)
         case "play":
             from gpcjax.play.command import play
 

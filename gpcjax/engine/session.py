@@ -1,52 +1,34 @@
 """Teaching in a program of one's own: a person at a keyboard, a robot's control loop, another simulator.
 
 The steps are those of the engine's own loops, on a block of one lane: `propose` is what acts there, and what follows
-advice is `gpcjax.engine.correcting.correct`, with the same reckoning for advice that comes late.
+advice is `gpcjax.engine.correcting.correct`, with the same reckoning for advice that comes late. A session among others
+in a classroom does the same on one lane of many (`gpcjax.engine.classroom`).
 """
 
 import contextlib
-import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Numbers, checked, shown
-from gpcjax.engine.correcting import idle_is_due
+from gpcjax.engine.classroom import Classroom, Pupil, idle, propose, rooms_of
+from gpcjax.engine.desk import Advised, Alone, Desk
 from gpcjax.engine.history import Credit
-from gpcjax.engine.lanes import Lane
-from gpcjax.engine.single import (
-    acts,
-    acts_at,
-    advised,
-    cleared,
-    grown,
-    has_room,
-    idled,
-    measured,
-    place_of,
-    placed,
-    points_of,
-    single,
-    state_of,
-    stepped,
-    told,
-    uncertain,
-)
+from gpcjax.engine.single import single
 from gpcjax.errors import UserError
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners.base import Info, Learner, State
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
-from gpcjax.recording import Recording
+from gpcjax.recording import Deferred, Recording
 
 _NUMBERS = {
     "credit": (float, NON_NEGATIVE),
@@ -56,6 +38,9 @@ _NUMBERS = {
     "seed": (int, Numbers(0, 2**63 - 1, whole=True)),
     "undos": (int, Numbers(0, 1_000, whole=True)),
 }
+
+ROOMS = "rooms"
+"""The setting that a session in a classroom has beside: the room of its dictionaries, as it grows."""
 
 
 class Session:
@@ -97,46 +82,56 @@ class Session:
     ):
         if not isinstance(learner, Learner):
             raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
-        self.learner: Learner = learner
         late = {"credit": credit, "credit_longest": credit_longest, "credit_shape": credit_shape}
         given = {**late, "time_step": time_step, "seed": seed, "undos": undos}
-        self._settings: dict[str, Any] = {
+        settings: dict[str, Any] = {
             name: None if name in late and value is None else checked(name, value, *_NUMBERS[name])
             for name, value in given.items()
         }
+        block = single(learner, state, credit_of(settings), settings["seed"])
+        self._sit(learner, Alone(learner, block), settings)
+        if record is not None:
+            self._record(Recording.new(record, self._settings, self._place()))
+
+    def _sit(self, learner: Learner, desk: Desk, settings: dict[str, Any]) -> None:
+        self.learner: Learner = learner
+        self._desk, self._settings = desk, settings
         self._lock = threading.RLock()
-        self._undos: deque[tuple[Lane, int]] = deque(maxlen=self._settings["undos"])
+        self._undos: deque[tuple[Desk, int]] = deque(maxlen=settings["undos"])
         self._begun = self._begins = False
         self._proposed = np.zeros(learner.action_size)
         self.corrections = 0
         """Advice that was learned, and not undone, counted for each action dimension."""
-        names = (*late, "time_step")
-        credits = Credit.of(*(self._settings[name] for name in names))
-        self._block = single(learner, state, credits, self._settings["seed"])
+        self.latest: tuple[list[float], list[float]] = [], []
+        """Observation and action as they were when the latest step was proposed."""
         self._recording: Recording | None = None
         self._records_since = time.monotonic()
-        if record is not None:
-            self._record(record)
+
+    @classmethod
+    def _seated(cls, learner: Learner, desk: Desk, settings: Mapping[str, Any]) -> "Session":
+        session = cls.__new__(cls)
+        session._sit(learner, desk, dict(settings))
+        return session
 
     @property
     def episode(self) -> int:
         """Of the latest step, from 0."""
-        return int(np.asarray(self._block.episode)[0])
+        return self._desk.episode
 
     @property
     def step(self) -> int:
         """The latest step of the episode, from 0; -1 before the first."""
-        return int(np.asarray(self._block.env.time)[0]) if self._begun else -1
+        return self._desk.time if self._begun else -1
 
     @property
     def obs(self) -> Float[np.ndarray, " obs"]:
         """Of the latest step."""
-        return np.array(np.asarray(self._block.env.obs)[:, 0])
+        return self._desk.obs
 
     @property
     def action(self) -> Float[np.ndarray, " action"]:
         """What was executed at the latest step."""
-        return np.array(np.asarray(self._block.action)[:, 0])
+        return self._desk.action
 
     @property
     def proposed(self) -> Float[np.ndarray, " action"]:
@@ -152,7 +147,7 @@ class Session:
     @under_own_settings
     def state(self) -> State:
         """The learner's state."""
-        return state_of(self._block)
+        return self._desk.state
 
     def propose(self, obs: Vector) -> Float[np.ndarray, " action"]:
         """The action to execute at `obs` (obs_size,): (action_size,), in [-1, 1]. It begins a step.
@@ -164,28 +159,48 @@ class Session:
         """
         obs = self._numbers("obs", obs, self.learner.obs_size)
         with self._lock:
-            block = self._block
-            if self._begun and self.learner.idle_every and idle_is_due(self.learner, block.env.time)[0]:
-                block = cleared(idled(block))
-            begins, another = self._begins or not self._begun, self._begun and self._begins
-            block, proposed, finite = stepped(block, obs, begins, another)
-            if not finite:
-                raise UserError(f"the policy's action at {shown(obs.tolist())} is no number")
-            action = np.array(np.asarray(block.action)[:, 0])
-            with self._recorded():
-                self._block, self._begun, self._begins = block, True, False
-                self._proposed = proposed
-                self._keep("propose", obs=obs.tolist(), action=action.tolist())
-            return action
+            desk = self._desk
+            if self._idles:
+                desk = desk.idled()
+            return self._proposes(obs, *desk.stepped(obs, *self._flags))
+
+    @property
+    def _idles(self) -> bool:
+        """Whether the learner is to go on by itself before the next step."""
+        return self._begun and self._desk.idle_is_due
+
+    @property
+    def _flags(self) -> tuple[bool, bool]:
+        """Whether the next step is the first of an episode, and of another one than before."""
+        return self._begins or not self._begun, self._begun and self._begins
+
+    def _proposes(
+        self, obs: np.ndarray, desk: Desk, proposed: np.ndarray, finite: bool
+    ) -> Float[np.ndarray, " action"]:
+        """The step that the desk has come to: the rest of `propose`."""
+        if not finite:
+            raise _no_number(obs)
+        with self._recorded():
+            self._desk = desk
+            action = desk.action
+            self._heard(proposed, obs.tolist(), action.tolist())
+        return action
+
+    def _heard(self, proposed: np.ndarray, obs: list[float], action: list[float]) -> None:
+        """What was proposed at the step that the desk has come to."""
+        self._begun, self._begins = True, False
+        self._proposed = proposed
+        self.latest = obs, action
+        self._keep("propose", obs=obs, action=action)
 
     def act(self, obs: Vector) -> Float[np.ndarray, " action"]:
         """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
         obs = self._numbers("obs", obs, self.learner.obs_size)
-        return np.array(acts(self._block.controller, obs))
+        return self._desk.acts(obs)
 
     def act_at(self, obs: Float[np.ndarray, "obs points"]) -> Float[np.ndarray, "action points"]:
         """The same at many observations."""
-        return np.array(acts_at(self._block.controller, np.asarray(obs, float)))
+        return self._desk.acts_at(np.asarray(obs, float))
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.
@@ -198,7 +213,7 @@ class Session:
         with self._lock:
             self._check_begun()
             with self._recorded():
-                self._block = dataclasses.replace(self._block, action=jnp.asarray(action)[:, None])
+                self._desk = self._desk.executed(action)
                 self._keep("executed", action=action.tolist())
 
     def advise(self, advice: Vector | float) -> Info:
@@ -210,22 +225,26 @@ class Session:
         Raises:
             ValueError: another shape or value, or no step has begun.
         """
+        return self.advise_about(advice, None).info
+
+    def advise_about(self, advice: Vector | float, about: Vector | None) -> Advised:
+        """The same, and what the policy does at `about` (obs_size,) before and after; NaN without one."""
         entries: Any = [advice] if np.ndim(advice) == 0 else advice
         given = np.asarray(vector("advice", entries, self.learner.action_size, "this learner"))
         if not np.isin(given, (-1.0, 0.0, 1.0)).all():
             raise UserError(f"advice {shown(given.tolist())}: each entry must be -1, 0 or 1")
         with self._lock:
             self._check_begun()
-            before = self._block, self.corrections
-            self._make_room()
+            before = self._desk, self.corrections
+            place = None if about is None else self._numbers("about", about, self.learner.obs_size)
             with one_thread() if self.learner.factorises else contextlib.nullcontext():
-                block = jax.block_until_ready(advised(self._block, given[:, None]))
+                desk, done = self._desk.advised(given, place)
             with self._recorded():
-                self.corrections += int(np.asarray(block.tally.corrections)[0])
-                self._block = cleared(block)
+                self.corrections += done.corrections
+                self._desk = desk
                 self._keep("advise", advice=given.astype(int).tolist())
             self._undos.append(before)
-            return told(block)
+            return done
 
     def undo(self) -> bool:
         """Takes the latest advice back, with all that was learned since; False if there is none to take back."""
@@ -235,9 +254,7 @@ class Session:
             before, corrections = self._undos[-1]
             with self._recorded():
                 self.corrections = corrections
-                self._block = dataclasses.replace(
-                    self._block, state=before.state, controller=before.controller
-                )
+                self._desk = self._desk.taken_back(before)
                 self._keep("undo")
             self._undos.pop()
             return True
@@ -272,7 +289,7 @@ class Session:
         """
         if not self._begun:
             raise UserError("no step has begun: call propose first")
-        return np.asarray(uncertain(self._block))  # nobody waits for it: a block is never changed
+        return self._desk.uncertain()
 
     def warm_up(self, *, ahead: bool = False) -> None:
         """Compiles all that steps and advice need, which otherwise happens when they come first; nothing is learned.
@@ -283,32 +300,16 @@ class Session:
             ahead: not for the room that there is in the dictionaries, but for twice of it, which is given when they
                 are full.
         """
-        with self._lock:
-            block = self._block
-        if ahead:
-            larger = grown(block) if self.learner.wants_room else None
-            if larger is None:
-                return
-            block = larger
-        block, _, _ = stepped(block, np.zeros(self.learner.obs_size), True, False)
-        if self.learner.idle_every:
-            cleared(idled(block))
-        has_room(block, self._corrections_at_once)
-        block = advised(block, np.zeros((self.learner.action_size, 1)))
-        told(block)
-        for look in (uncertain, points_of, measured):
-            look(block)
-        acts(block.controller, np.zeros(self.learner.obs_size))
+        self._desk.warm_up(ahead)
 
     @property
     def points(self) -> tuple[int, int]:
         """Points held by the policies and by the human models, over all action dimensions; 0, 0 without any."""
-        policy, human = points_of(self._block)
-        return int(policy), int(human)
+        return self._desk.points
 
     def measure(self) -> dict[str, float]:
         """What the learner measures of itself, by name (`Learner.measure`)."""
-        return {name: float(value) for name, value in measured(self._block).items()}
+        return self._desk.measured()
 
     def policy(self) -> Policy:
         """What has been taught so far, as a function of an observation; it stays as it is."""
@@ -343,7 +344,7 @@ class Session:
             raise UserError(f"{path}: this is a learner without a session: give it to gpcjax.Session")
         session = cls._at(str(path), learner, state, kept)
         if record is not None:
-            session._record(record)
+            session._record(Recording.new(record, session._settings, session._place()))
         return session
 
     @classmethod
@@ -356,6 +357,8 @@ class Session:
         *,
         go_on: bool = False,
         told: "Told | None" = None,
+        check_from: int = 0,
+        classroom: Classroom | None = None,
     ) -> "Session":
         """The session whose events are in the file `record`, made again: the same to the bit, on the same machine.
 
@@ -364,34 +367,60 @@ class Session:
             learner, state: those that it was begun with.
             go_on: append what follows to the same file.
             told: called after each event with the session, the event, and what its method gave.
+            check_from: the first episode in which actions are worked out anew. Those before, of a session in a
+                classroom, are taken as they were recorded, which is a hundred times as fast.
+            classroom: where there is a place for it, of a session in a classroom; without one, in one of its own.
 
         Raises:
             ValueError: the file cannot be read, is no recording, or one of another kind of learner; or an action is
                 another one than was recorded, as on another kind of machine. The message names line and step.
         """
         first, events = Recording.read(record)
-        session = cls._at(str(record), learner, state, first)
-        for number, event in enumerate(events, 2):
-            try:
-                outcome = session._again(event)
-            except UserError as error:
-                raise UserError(f"{record}, line {number}: {error}") from None
-            if (session.episode, session.step) != (event["episode"], event["step"]):
-                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
-            if told is not None:
-                told(session, event, outcome)
-        if go_on:
-            session._recording = Recording.again(record)
+        session = cls._at(str(record), learner, state, first, classroom)
+        try:
+            session._replay(record, events, told, check_from)
+            if go_on:
+                kind = Recording if classroom is None else Deferred
+                session._recording = kind.again(record)
+        except BaseException:
+            if classroom is not None:
+                leave(session)
+            raise
         return session
 
+    def _replay(
+        self, record: Any, events: Sequence[Mapping[str, Any]], told: "Told | None", check_from: int
+    ) -> None:
+        for number, event in enumerate(events, 2):
+            try:
+                quickly = event["episode"] < check_from and isinstance(self._desk, Pupil)
+                outcome = self._again(event, quickly)
+            except UserError as error:
+                raise UserError(f"{record}, line {number}: {error}") from None
+            if (self.episode, self.step) != (event["episode"], event["step"]):
+                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
+            if told is not None:
+                told(self, event, outcome)
+
     @classmethod
-    def _at(cls, source: str, learner: Learner, state: State | None, kept: Mapping[str, Any]) -> "Session":
+    def _at(
+        cls,
+        source: str,
+        learner: Learner,
+        state: State | None,
+        kept: Mapping[str, Any],
+        classroom: Classroom | None = None,
+    ) -> "Session":
         """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
-            if settings.keys() != _NUMBERS.keys():
+            rooms = settings.get(ROOMS)
+            if settings.keys() - {ROOMS} != _NUMBERS.keys():
                 raise UserError("its settings are those of another version")
-            session = cls(learner, state, **settings)
+            if rooms is None:
+                session = cls(learner, state, **settings)
+            else:
+                session = cls._in_classroom(learner, state, settings, classroom)
             session._move(place)
         except UserError as error:
             raise UserError(f"{source}: {error}") from None
@@ -399,20 +428,46 @@ class Session:
             raise UserError(f"{source}: this is no session of such a learner") from None
         return session
 
+    @classmethod
+    def _in_classroom(
+        cls,
+        learner: Learner,
+        state: State | None,
+        settings: dict[str, Any],
+        classroom: Classroom | None,
+    ) -> "Session":
+        """A session in a classroom, or in one of its own: to the bit it is the same."""
+        credit, rooms = credit_of(settings), rooms_of(settings[ROOMS])
+        if classroom is None:
+            classroom = Classroom(learner, credit, rooms, 1)
+        elif rooms_of(classroom.rooms) != rooms:
+            raise UserError("its dictionaries grew in other steps than they do here")
+        return cls._seated(learner, classroom.enter(learner, settings["seed"], credit, state), settings)
+
     def _place(self) -> dict[str, Any]:
         """Where the session stands, as JSON knows it: all that is neither settings nor the learner's state."""
         own = {"begun": self._begun, "begins": self._begins, "corrections": self.corrections}
-        return {**place_of(self._block), **own}
+        return {**self._desk.place(), **own}
 
     def _move(self, place: Mapping[str, Any]) -> None:
         """To a place that `_place` gave. Raises KeyError, TypeError or ValueError for another one."""
-        self._block = placed(self._block, place)
+        self._desk = self._desk.placed(place)
         self._begun, self._begins = bool(place["begun"]), bool(place["begins"])
         self.corrections = int(place["corrections"])
 
-    def _again(self, event: Mapping[str, Any]) -> Any:
+    def _follow(self, obs: np.ndarray, action: np.ndarray) -> np.ndarray:
+        """The step at which this action was proposed, which is within its bounds: so nothing was clipped."""
+        desk = _pupil(self)
+        if self._idles:
+            desk.idled()
+        desk.move(obs, action, *self._flags)
+        return self._proposes(obs, desk, action, True)
+
+    def _again(self, event: Mapping[str, Any], quickly: bool = False) -> Any:
         """Does what an event of a recording tells of, and gives what that gave."""
         match event:
+            case {"event": "propose", "obs": obs, "action": action} if quickly and np.abs(action).max() < 1.0:
+                return self._follow(np.array(obs), np.array(action))
             case {"event": "propose", "obs": obs}:
                 action = self.propose(obs)
                 recorded = event.get("action", action.tolist())
@@ -430,17 +485,6 @@ class Session:
                 return self.end_episode()
         return None
 
-    @property
-    def _corrections_at_once(self) -> int:
-        return 1 if self._block.credit is None else self._block.credit.moments
-
-    def _make_room(self) -> None:
-        while self.learner.wants_room and not has_room(self._block, self._corrections_at_once):
-            larger = grown(self._block)
-            if larger is None:
-                return
-            self._block = larger
-
     def _numbers(self, name: str, value: Vector, size: int) -> np.ndarray:
         numbers = np.asarray(vector(name, value, size, "this learner"))
         if not np.isfinite(numbers).all():
@@ -451,13 +495,14 @@ class Session:
         if not self._begun or self._begins:
             raise UserError("no step of this episode has begun: call propose first")
 
-    def _record(self, path: Any) -> None:
-        self._recording = Recording.new(path, self._settings, self._place())
+    def _record(self, recording: Recording) -> None:
+        """Every event from now on goes into a file, which was begun with `_settings` and `_place`."""
+        self._recording = recording
 
     @contextlib.contextmanager
     def _recorded(self) -> Iterator[None]:
         """What cannot be written down has not happened."""
-        names = ("_block", "_begun", "_begins", "_proposed", "corrections")
+        names = ("_desk", "latest", "_begun", "_begins", "_proposed", "corrections")
         before = {name: getattr(self, name) for name in names}
         try:
             yield
@@ -470,6 +515,80 @@ class Session:
             now = round(time.monotonic() - self._records_since, 4)
             place = {"episode": self.episode, "step": self.step, "time": now}
             self._recording.append({"event": event, **place, **values})
+
+
+def credit_of(settings: Mapping[str, Any]) -> Credit | None:
+    """How a session with these settings reckons with late advice. Raises UserError: they do not fit together."""
+    return Credit.of(*(settings[name] for name in ("credit", "credit_longest", "credit_shape", "time_step")))
+
+
+def in_classroom(
+    classroom: Classroom, learner: Learner, settings: Mapping[str, Any], recording: Path
+) -> Session:
+    """A new session on a free desk of a classroom, which writes its recording (`Deferred`).
+
+    Args:
+        classroom: for learners of this structure.
+        learner: with the numbers of this session.
+        settings: `credit`, `credit_longest`, `credit_shape`, `time_step` and `seed` of a session.
+        recording: as `record` of a session.
+
+    Raises:
+        UserError: all places are taken, or the recording cannot be written.
+    """
+    settings = {**settings, "undos": 0, ROOMS: classroom.rooms}
+    desk = classroom.enter(learner, settings["seed"], credit_of(settings))
+    session = Session._seated(learner, desk, settings)
+    try:
+        deferred = Deferred.new(recording, session._settings, session._place())
+        deferred.flush()
+        session._record(deferred)
+    except UserError:
+        classroom.leave(desk)
+        raise
+    return session
+
+
+def leave(session: Session) -> None:
+    """Gives the session's desk in a classroom back: nothing follows."""
+    _pupil(session).leave()
+
+
+def propose_together(
+    sessions: Sequence[Session], observations: Float[np.ndarray, "sessions obs"]
+) -> list[UserError | None]:
+    """`Session.propose` of each session of one classroom at its observation, in one call of its programs.
+
+    Their recordings are deferred. Gives what each of them raised.
+    """
+    pupils = [_pupil(session) for session in sessions]
+    idle([pupil for session, pupil in zip(sessions, pupils, strict=True) if session._idles])
+    proposed, finite = propose(pupils, observations)
+    rows = zip(
+        sessions,
+        pupils,
+        observations,
+        proposed,
+        proposed.clip(-1.0, 1.0),
+        finite.tolist(),
+        strict=True,
+    )
+    raised: list[UserError | None] = []
+    for session, pupil, obs, each, action, sound in rows:
+        if sound:
+            pupil.move(obs, action, *session._flags)
+            session._heard(each, obs.tolist(), action.tolist())
+        raised.append(None if sound else _no_number(obs))
+    return raised
+
+
+def _no_number(obs: np.ndarray) -> UserError:
+    return UserError(f"the policy's action at {shown(obs.tolist())} is no number")
+
+
+def _pupil(session: Session) -> Pupil:
+    assert isinstance(session._desk, Pupil)
+    return session._desk
 
 
 Told = Callable[[Session, Mapping[str, Any], Any], None]

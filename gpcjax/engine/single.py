@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.engine.correcting import correct
 from gpcjax.engine.history import Credit, History
-from gpcjax.engine.lanes import Lane, Tally, empty_tally, fresh, map_lanes
+from gpcjax.engine.lanes import CorrectionLog, Lane, Tally, empty_tally, fresh, map_lanes
 from gpcjax.engine.stepping import propose, remember
 from gpcjax.envs.base import State as EnvState
 from gpcjax.envs.base import begin
@@ -215,6 +215,18 @@ def told(block: Lane) -> Info:
     numbers[:, 0] = 0.0
     numbers[where[:, 2]], flags[where[:, 2]] = values, outcome
     return Info(*jax.device_put((*numbers.T, *flags.T, np.asarray(block.status)[0])))
+
+
+def info_in(log: CorrectionLog, status: Int[Array, ""], action_size: int) -> Info:
+    """The same of one lane's log, as part of a program."""
+    logged = jnp.arange(action_size) < log.count
+    place = jnp.where(logged, log.where[:action_size, 2], action_size)  # behind the last one: dropped
+    numbers = jnp.full((action_size, 3), jnp.nan).at[:, 0].set(0.0)
+    numbers = numbers.at[place].set(log.values[:action_size], mode="drop")
+    flags = jnp.zeros((action_size, 3), bool).at[place].set(log.outcome[:action_size], mode="drop")
+    rate, sigma_policy, sigma_human = numbers.T
+    appended, replaced, full = flags.T
+    return Info(rate, sigma_policy, sigma_human, appended, replaced, full, status)
 
 
 def cleared(block: Lane) -> Lane:

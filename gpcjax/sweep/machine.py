@@ -7,6 +7,7 @@ Loads no jax.
 """
 
 import ctypes
+import functools
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -102,6 +103,7 @@ def _graphics_card() -> str:
     return told.stdout.partition("\n")[0].strip()
 
 
+@functools.cache
 def _lapack() -> str:
     """Version and kernels of scipy's OpenBLAS; where scipy brings none, its own version alone."""
     version = f"scipy {importlib.metadata.version('scipy')}"

@@ -125,7 +125,7 @@ def read_table(path: Path, name: str) -> dict[str, Any]:
     Raises:
         UserError: the file cannot be read as TOML, or the name is no table's.
     """
-    table = _read_table(path).get(name, {})
+    table = read_file(path).get(name, {})
     if not isinstance(table, dict):
         raise UserError(f"{path}: {name} is no table: begin one with a line [{name}]")
     return table
@@ -140,12 +140,12 @@ def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Gi
         UserError: the file is missing, is not TOML, is no file of settings by its size or depth, has a key or value
             that is not allowed, or has no table [quick] though `quick` asks for it.
     """
-    table = _read_table(path)
+    table = read_file(path)
     table.pop(beside, None)
     has_small, small = QUICK in table, table.pop(QUICK, {})
     if not isinstance(small, dict):
         raise UserError(f"{path}: {QUICK} is no table: begin one with a line [{QUICK}]")
-    given, fewer = _accepted(table, f"{path}: "), _accepted(small, f"{path}: [{QUICK}] ")
+    given, fewer = accepted_of(table, f"{path}: "), accepted_of(small, f"{path}: [{QUICK}] ")
     if quick and not has_small:
         raise UserError(f"{path}: it has no table [{QUICK}]: leave --quick out, or add the table")
     if quick:
@@ -154,7 +154,7 @@ def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Gi
     return given | {name: each._replace(counts=False) for name, each in unused.items()}
 
 
-def _read_table(path: Path) -> dict[str, Any]:
+def read_file(path: Path) -> dict[str, Any]:
     """What a TOML file holds, its fractions as they are written."""
     try:
         with open(path, "rb") as file:
@@ -204,7 +204,7 @@ def spec_of(**settings: Any) -> SweepSpec:
     Raises:
         UserError: a name or value that is not allowed.
     """
-    given = _accepted(settings, "")
+    given = accepted_of(settings, "")
     if "rate_from" in given:
         raise UserError("rate_from: give rate_schedule, the chances themselves, here")
     return make_spec(given)
@@ -351,7 +351,7 @@ def from_dict(specification: Mapping[str, Any]) -> SweepSpec:
     return SweepSpec(**{**values, "seeds": seeds, "hyperparameters": numbers, "start": start, POINTS: points})
 
 
-def _accepted(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:
+def accepted_of(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unchecked]:
     """The settings of a table, each checked alone; dashes and underscores in a key are one."""
     accepted: dict[str, Given | Unchecked] = {}
     for key, value in table.items():

@@ -13,10 +13,13 @@ from gpcjax.teach.course import DICTIONARY, Course
 from gpcjax.teach.origin import Origin
 
 
-def beginning(course: Course, start: Path | None) -> tuple[Learner, State | None]:
-    """Those in the folder `start`; without one an untaught learner, whose first state is its own affair."""
+def beginning(course: Course, start: Path | None, room: int | None = None) -> tuple[Learner, State | None]:
+    """Those in the folder `start`; without one an untaught learner, whose first state is its own affair.
+
+    `room` is for how many points it has room at first; for as many as there will be without.
+    """
     if start is None:
-        return learner_of(course.cell(1), DICTIONARY), None
+        return learner_of(course.cell(1), DICTIONARY if room is None else room), None
     return load_learner(start)
 
 

@@ -1,4 +1,4 @@
-"""Who may come in to a lesson's page, and what every answer says of it.
+"""Who may come in to a page of ours, and what every answer says of it.
 
 A page elsewhere in the person's browser can reach a local port: so the names of the host and the origin are looked at,
 and nothing runs that is not ours (the content security policy).
@@ -38,10 +38,21 @@ class Door:
         names: the hosts that may be asked for, with the port; None for any.
         token: empty where none is needed.
         cookie: the name of the token's cookie: browsers keep them for a host, whatever the port.
+        entrance: the path at which the token is given, and below which alone it is needed.
+        encrypted: those of the hosts that are reached through TLS, by a proxy, and in no other way.
     """
 
-    def __init__(self, app: Any, names: frozenset[str] | None, token: str, cookie: str):
+    def __init__(
+        self,
+        app: Any,
+        names: frozenset[str] | None,
+        token: str,
+        cookie: str,
+        entrance: str = "/",
+        encrypted: frozenset[str] = frozenset(),
+    ):
         self._app, self._names, self._token, self._cookie = app, names, token, cookie
+        self._entrance, self._encrypted = entrance, encrypted
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -67,23 +78,32 @@ class Door:
         host, origin = headers.get("host", "").lower(), headers.get("origin")
         if self._names is not None and host not in self._names:
             return PlainTextResponse("another host is meant\n", 421)
-        if scope["type"] == "websocket" and (
-            origin is None or origin.lower() not in (f"http://{host}", f"https://{host}")
-        ):
+        ours = {f"https://{host}"} if host in self._encrypted else {f"http://{host}", f"https://{host}"}
+        if scope["type"] == "websocket" and (origin is None or origin.lower() not in ours):
             return PlainTextResponse("another page asks\n", 403)
         if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD"):
             return PlainTextResponse("only to be read\n", 405)
-        if not self._token:
+        if not self._token or not self._is_inside(scope["path"]):
             return None
         given = QueryParams(scope["query_string"]).get("token", "")
-        if scope["type"] == "http" and scope["path"] == "/" and self._is_token(given):
-            answer = RedirectResponse("/", 303)
-            answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
+        if scope["type"] == "http" and scope["path"] == self._entrance and self._is_token(given):
+            answer = RedirectResponse(self._entrance, 303)
+            answer.set_cookie(
+                self._cookie,
+                self._token,
+                path=self._entrance,
+                httponly=True,
+                samesite="strict",
+                secure=host in self._encrypted,
+            )
             return answer
         cookies = Request({**scope, "type": "http"}).cookies
         if not self._is_token(cookies.get(self._cookie, "")):
-            return PlainTextResponse("open the address with its token, as gpcjax teach prints it\n", 403)
+            return PlainTextResponse("open the address with its token, as it was printed\n", 403)
         return None
 
+    def _is_inside(self, path: str) -> bool:
+        return path == self._entrance or path.startswith(self._entrance.rstrip("/") + "/")
+
     def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self._token.encode())
+        return hmac.compare_digest(given.encode(errors="surrogatepass"), self._token.encode())

@@ -19,6 +19,7 @@
 import json
 import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -65,13 +66,22 @@ class Command:
     press: Press | None = None
 
 
-def parse(text: str | bytes) -> Command:
+Forms = Mapping[str, Mapping[str, Callable[[object], bool]]]
+"""Of each type of message, what checks each of its values."""
+
+
+def parse(text: str | bytes, forms: Forms | None = None, most: int = MESSAGE_BYTES) -> Command:
     """The command of a message.
+
+    Args:
+        text: the message.
+        forms: what is known; those of a lesson without it.
+        most: bytes of the message.
 
     Raises:
         Refused: it is too long, no JSON, or of no known form.
     """
-    if len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass")) > MESSAGE_BYTES:
+    if len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass")) > most:
         raise Refused("too long")
     try:
         message = json.loads(text, parse_constant=_no_number)
@@ -80,9 +90,9 @@ def parse(text: str | bytes) -> Command:
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
         raise Refused("no message")
     kind = message.pop("type")
-    if kind not in _VALUES:
+    wanted = (FORMS if forms is None else forms).get(kind)
+    if wanted is None:
         raise Refused("of no known type")
-    wanted = _VALUES[kind]
     if message.keys() - wanted.keys() or not all(
         check(message.get(name)) for name, check in wanted.items() if name in message or name not in _OPTIONAL
     ):
@@ -105,15 +115,18 @@ def _no_number(word: str) -> float:
     raise ValueError(word)
 
 
-def _count(value: object) -> bool:
+def is_count(value: object) -> bool:
+    """Whether it is a whole number from 0."""
     return type(value) is int and 0 <= value < _LARGEST
 
 
-def _number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Whether it is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
 
 
-def _flag(value: object) -> bool:
+def is_flag(value: object) -> bool:
+    """Whether it is true or false."""
     return isinstance(value, bool)
 
 
@@ -126,37 +139,37 @@ def _word(value: object) -> bool:
 
 
 def _speed(value: object) -> bool:
-    return isinstance(value, int | float) and _number(value) and SPEEDS[0] <= value <= SPEEDS[1]
+    return isinstance(value, int | float) and is_number(value) and SPEEDS[0] <= value <= SPEEDS[1]
 
 
 def _settings(value: object) -> bool:
     if not isinstance(value, dict) or len(value) > _SETTINGS:
         return False
-    return all(_word(name) and _number(number) and math.isfinite(number) for name, number in value.items())
+    return all(_word(name) and is_number(number) and math.isfinite(number) for name, number in value.items())
 
 
 _OPTIONAL = {"drawn"}
-_VALUES: dict[str, dict[str, Any]] = {
+FORMS: Forms = {
     "take": {},
     "press": {
-        "id": _count,
-        "dim": _count,
+        "id": is_count,
+        "dim": is_count,
         "h": lambda value: type(value) is int and value in (-1, 1),
-        "n": _count,
-        "at": _number,
-        "drawn": _number,
-        "held": _flag,
+        "n": is_count,
+        "at": is_number,
+        "drawn": is_number,
+        "held": is_flag,
     },
-    "pause": {"on": _flag},
+    "pause": {"on": is_flag},
     "step": {},
     "reset": {},
     "undo": {},
     "speed": {"value": _speed},
-    "run": {"on": _flag},
+    "run": {"on": is_flag},
     "learner": {"name": _word, "settings": _settings},
     "save": {"name": _name},
     "open": {"name": _name},
-    "map": {"x": _count, "y": _count, "dim": _count},
-    "ping": {"at": _number},
+    "map": {"x": is_count, "y": is_count, "dim": is_count},
+    "ping": {"at": is_number},
 }
-"""Of each type, what checks its values."""
+"""Of what the page of a lesson says."""

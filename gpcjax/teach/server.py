@@ -8,7 +8,7 @@ import ipaddress
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,16 +39,23 @@ HTTP_PORT = 80
 """The port that browsers leave out of an address."""
 
 
-def application(room: Room, names: frozenset[str] | None, token: str, port: int) -> Any:
-    """The page, its files, and its websocket, behind a door."""
-    names_of_page = frozenset(each.name for each in PAGE.iterdir() if each.is_file())
+def files(folder: Path) -> Callable[[Request], Awaitable[Response]]:
+    """What serves the files of one folder of ours, and index.html where no name is asked for."""
+    known = frozenset(each.name for each in folder.iterdir() if each.is_file())
 
-    async def page(request: Request) -> Response:
+    async def file(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
-        path = PAGE / name
-        if name not in names_of_page or path.suffix not in KINDS:
+        path = folder / name
+        if name not in known or path.suffix not in KINDS:
             return PlainTextResponse("there is nothing\n", 404)
         return FileResponse(path, media_type=KINDS[path.suffix])
+
+    return file
+
+
+def application(room: Room, names: frozenset[str] | None, token: str, port: int) -> Any:
+    """The page, its files, and its websocket, behind a door."""
+    page = files(PAGE)
 
     async def lesson(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -89,6 +96,30 @@ def is_local(host: str) -> bool:
     return False
 
 
+def names_of(host: str, port: int) -> frozenset[str]:
+    """What browsers on this machine call a host that is this machine alone."""
+    hosts = ("127.0.0.1", "localhost", "[::1]", host.lower())
+    names = frozenset(f"{name}:{port}" for name in hosts)
+    return names | frozenset(hosts) if port == HTTP_PORT else names
+
+
+def configuration(app: Any, longest: int) -> uvicorn.Config:
+    """How every server of ours runs; `longest` is of the messages that are read, in bytes."""
+    return uvicorn.Config(
+        app,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        lifespan="off",
+        ws="websockets-sansio",
+        ws_max_size=2 * longest,
+        ws_ping_interval=5.0,
+        ws_ping_timeout=15.0,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=2,
+    )
+
+
 class Serving:
     """A lesson on a socket: its address, until somebody stops it."""
 
@@ -99,26 +130,11 @@ class Serving:
         self.token = "" if local else secrets.token_urlsafe(24)
         shown = f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{number}/" + (f"?token={self.token}" if self.token else "")
-        hosts = ("127.0.0.1", "localhost", "[::1]", shown.lower())
-        names = frozenset(f"{name}:{number}" for name in hosts)
-        names |= frozenset(hosts) if number == HTTP_PORT else frozenset()
+        names = names_of(shown, number)
         self.lesson = lesson_with(lambda message: self._room.say(message))
         self._room = Room(self.lesson)
         app = application(self._room, names if local else None, self.token, number)
-        config = uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            lifespan="off",
-            ws="websockets-sansio",
-            ws_max_size=2 * MESSAGE_BYTES,
-            ws_ping_interval=5.0,
-            ws_ping_timeout=15.0,
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=2,
-        )
-        self._server = uvicorn.Server(config)
+        self._server = uvicorn.Server(configuration(app, MESSAGE_BYTES))
 
     def run(self) -> None:
         """Until Ctrl-C, SIGTERM, or an error of the lesson; what is taught is written down then.

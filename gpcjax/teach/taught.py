@@ -4,15 +4,16 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from gpcjax.engine.session import Session
+from gpcjax.engine.classroom import Classroom
+from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
-from gpcjax.learners.base import Info
+from gpcjax.learners.base import Info, Learner, State
 from gpcjax.learners.saved import save_policy
 from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
@@ -23,12 +24,27 @@ from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
-from gpcjax.teach.world import World
+from gpcjax.teach.world import Moved, World
+from gpcjax.teach.worlds import Place, Worlds
 
 UNDOS = 20
 """How many of the latest corrections can be taken back: each keeps a state, of 16 MiB for an action dimension."""
 
 Say = Callable[[str], None]
+
+
+class Places(Protocol):
+    """Where there are others."""
+
+    @property
+    def classroom(self) -> Classroom:
+        """For the learner."""
+        ...
+
+    @property
+    def worlds(self) -> Worlds:
+        """For the task."""
+        ...
 
 
 class Advised(NamedTuple):
@@ -45,9 +61,9 @@ class Advised(NamedTuple):
 class Taught:
     """What a person teaches in one folder. Its methods belong to one thread."""
 
-    def __init__(self, folder: Path, course: Course, session: Session, world: World, tally: Tally):
+    def __init__(self, folder: Path, course: Course, session: Session, world: World | Place, tally: Tally):
         self.folder, self.course, self.session, self.tally = folder, course, session, tally
-        self._world = world
+        self.world = world
 
     @classmethod
     def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
@@ -62,13 +78,15 @@ class Taught:
             put(origin, start, course)
         course.write(folder)
         learner, state = beginning(course, start)
-        session = Session(learner, state, **_settings(course), record=folder / RECORD)
+        session = Session(learner, state, **settings_of(course), record=folder / RECORD)
         taught = cls(folder, course, session, _world(course, pictures=True), Tally())
-        taught._propose(taught._world.begin(0))
+        taught.begin_episode()
         return taught
 
     @classmethod
-    def resume(cls, folder: Path, say: Say, *, whole: bool = False) -> "Taught":
+    def resume(
+        cls, folder: Path, say: Say, *, whole: bool = False, places: "Places | None" = None
+    ) -> "Taught":
         """What was taught in a folder before, made again from its recording.
 
         Args:
@@ -76,13 +94,22 @@ class Taught:
             say: takes a line for the person, now and then.
             whole: check every step of the task, too, and write nothing; otherwise the steps of the last episode are
                 made again, and it goes on from there.
+            places: among others, where what was recorded in a classroom goes on. There no episode is begun.
 
         Raises:
             UserError: it is damaged, or the same events lead elsewhere here; the message names the step.
         """
         course = Course.read(folder)
-        record, world, tally = folder / RECORD, _world(course, pictures=not whole), Tally()
-        _, events = Recording.read(record)
+        record, tally = folder / RECORD, Tally()
+        first, events = Recording.read(record)
+        rooms = first["settings"].get(ROOMS)
+        classroom = None
+        if rooms is None:
+            world = _world(course, pictures=not whole)
+        elif places is None:
+            world = Worlds(make_env(course.env), 1).enter(course.seed)
+        else:
+            world, classroom = places.worlds.enter(course.seed), places.classroom
         last = max((event["episode"] for event in events), default=0)
         ended = any(event["event"] == "end" for event in events[-1:])
         progress = _Progress(say, len(events))
@@ -95,15 +122,23 @@ class Taught:
                 taught._compare(event["values"])
             tally.hear(session, event, outcome)
 
-        learner, state = beginning(course, folder / START if (folder / START).exists() else None)
-        taught = cls(folder, course, Session(learner, state, **_settings(course)), world, tally)
-        taught.session = Session.replay(record, learner, state, go_on=not whole, told=told)
+        start = folder / START if (folder / START).exists() else None
+        learner, state = beginning(course, start, rooms[0][0] if rooms else None)
+        taught = cls(folder, course, Session(learner, state, **settings_of(course)), world, tally)
+        again = {"go_on": not whole, "check_from": 0 if whole else last, "classroom": classroom}
+        try:
+            taught.session = Session.replay(record, learner, state, told=told, **again)
+        except BaseException:
+            if places is not None:
+                places.worlds.leave(world)
+            raise
         if whole:
             return taught
         if not tally.present.obs:
             if events and not ended:  # it was killed after the episode's last line but one
                 taught.session.end_episode()
-            taught._propose(world.begin(taught.episode))
+            if places is None:
+                taught.begin_episode()
         return taught
 
     @property
@@ -122,22 +157,39 @@ class Taught:
         Raises:
             UserError: the task gives something else than it declares, or the recording cannot be written.
         """
-        moved = self._world.step(self.session.action)
-        self.present.total += moved.reward
-        self.present.length += 1
+        moved = self.world.step(self.session.action)
+        self.moved(moved)
         if not moved.over:
             self._propose(moved.obs)
             return None
         return self.end("over")
 
+    def moved(self, moved: Moved) -> None:
+        """Counts a step of the task: the first part of `step`."""
+        self.present.total += moved.reward
+        self.present.length += 1
+
+    def proposed(self) -> None:
+        """Counts what the session has proposed: the last part of `step`."""
+        self.tally.hear(self.session, {"event": "propose"}, None)
+
     def end(self, why: str) -> Episode:
         """Ends the episode and begins the next one."""
+        present = self.close(why)
+        self.begin_episode()
+        return present
+
+    def begin_episode(self) -> None:
+        """Proposes at the first step of the present episode."""
+        self._propose(self.world.begin(self.episode))
+
+    def close(self, why: str) -> Episode:
+        """Ends the episode, and begins none."""
         present = self.present
         values = {"ended": why, "total": present.total, "length": present.length}
         self.session.note(**values)
         self.tally.hear(self.session, {"event": "note", "values": values}, None)
         self.session.end_episode()
-        self._propose(self._world.begin(self.episode))
         return present
 
     def advise(self, press: Press, credited: int) -> Advised:
@@ -150,12 +202,11 @@ class Taught:
         advice = np.zeros(size)
         advice[press.dim] = press.h
         about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
-        before = self.session.act(about)[press.dim]
         self.session.note(press=list(press))
-        info = self.session.advise(advice)
-        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, info)
-        after = self.session.act(about)[press.dim]
-        return Advised(info, self.session.step, np.asarray(about), float(before), float(after))
+        done = self.session.advise_about(advice, about)
+        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, done.info)
+        before, after = (float(action[press.dim]) for action in (done.before, done.after))
+        return Advised(done.info, self.session.step, np.asarray(about), before, after)
 
     def undo(self) -> bool:
         """Takes the latest advice back; False if there is none."""
@@ -165,7 +216,7 @@ class Taught:
 
     def picture(self) -> np.ndarray | None:
         """What the task looks like now, (height, width, 3) uint8; None if it makes no pictures."""
-        return self._world.picture()
+        return self.world.picture()
 
     def save(self, name: str) -> None:
         """Keeps the session under a name, in place of what was kept there before.
@@ -181,34 +232,31 @@ class Taught:
 
         The policy is that of then: to take its state out of a session is a copy of megabytes, for which no step waits.
         """
-        session, tally = self.session, self.tally
+        kept = self.kept()
+        return lambda: kept(self.session).write()
+
+    def kept(self) -> "Callable[[Session], Kept]":
+        """The same, as something that another process may write; the session is asked for its state."""
+        tally = self.tally
         measured = tally.measurements(), tally.own(), tally.log()
 
-        def write() -> None:
-            _replaced(
-                self.folder / POLICY,
-                lambda path: save_policy(
-                    path,
-                    session.learner,
-                    session.state,
-                    env=self.course.env,
-                    corrections=session.corrections,
-                ),
+        def kept(session: Session) -> Kept:
+            return Kept(
+                self.folder, self.course, session.learner, session.state, session.corrections, measured
             )
-            write_rows(self.folder, self.course, *measured)
 
-        return write
+        return kept
 
     def _propose(self, obs: np.ndarray) -> None:
         self.session.propose(obs)
-        self.tally.hear(self.session, {"event": "propose"}, None)
+        self.proposed()
 
     def _follow(self, session: Session, recorded: list[float]) -> None:
         """Moves the task to the step that a recording tells of."""
         if session.step == 0:
-            obs = self._world.begin(session.episode)
+            obs = self.world.begin(session.episode)
         else:
-            moved = self._world.step(np.asarray(self.present.actions[-1]))
+            moved = self.world.step(np.asarray(self.present.actions[-1]))
             obs = moved.obs
             self.present.total += moved.reward
             self.present.length += 1
@@ -223,10 +271,33 @@ class Taught:
         if "ended" not in values or not self.present.obs:
             return
         total = self.present.total
-        if values["ended"] == "over":
-            total += self._world.step(np.asarray(self.present.actions[-1])).reward
+        if values["length"] == len(self.present.obs):  # the last step was executed, too
+            total += self.world.step(np.asarray(self.present.actions[-1])).reward
         if total != values["total"]:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
+
+
+class Kept(NamedTuple):
+    """Rows and policy as they are at some point."""
+
+    folder: Path
+    course: Course
+    learner: Learner
+    state: State
+    corrections: int
+    measured: tuple[dict[str, np.ndarray], ...]
+
+    def write(self) -> None:
+        """Writes them, in place of those before.
+
+        Raises:
+            UserError, OSError: they cannot be written.
+        """
+        provenance = {"env": self.course.env, "corrections": self.corrections}
+        _replaced(
+            self.folder / POLICY, lambda path: save_policy(path, self.learner, self.state, **provenance)
+        )
+        write_rows(self.folder, self.course, *self.measured)
 
 
 class Evaluation:
@@ -269,7 +340,8 @@ class _Progress:
             self._say(f"making the recording again: {self._done:,} of {self._events:,} events")
 
 
-def _settings(course: Course) -> dict[str, Any]:
+def settings_of(course: Course) -> dict[str, Any]:
+    """Those of the session of a course."""
     given = dict(course.settings)
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds

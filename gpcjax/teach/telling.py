@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 from gpcjax.allowed import Numbers, OneOf
 from gpcjax.describe import LearnerSpec, Setting, TaskSpec
+from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.learners.base import Learner, Status
 from gpcjax.registry import find
@@ -126,6 +127,26 @@ def episode_of(index: int, episode: Episode) -> dict[str, Any]:
         "corrections": episode.corrections,
         "mode": "teach",
         "why": "over",
+    }
+
+
+def frame_of(
+    number: int, session: Session, present: Episode, episode: int, mode: str, late: float
+) -> dict[str, Any]:
+    """Of the present step of a session."""
+    obs, action = session.latest
+    return {
+        "type": "frame",
+        "n": number,
+        "episode": episode,
+        "step": present.length,
+        "obs": obs,
+        "action": action,
+        "total": present.total,
+        "sigma": None,
+        "prior": None,
+        "mode": mode,
+        "late": round(late, 2),
     }
 
 

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from gpcjax.errors import UserError
-from gpcjax.teach import room
+from gpcjax.teach import pages, room
 from gpcjax.teach.door import HEADERS
 from gpcjax.teach.server import PAGE, Serving, bound, is_local
 
@@ -291,7 +291,7 @@ def test_nothing_follows_the_end(alone):
 def test_a_page_that_talks_nonsense_is_sent_away(alone):
     with alone.page() as page:
         alone.lesson.hears("joined")
-        for _ in range(room.MOST_REFUSED):
+        for _ in range(pages.MOST_REFUSED):
             page.send("nonsense")
         _says(page, type="step")
         alone.lesson.hears("step")
@@ -305,7 +305,7 @@ def test_a_page_that_talks_too_much_is_sent_away(alone):
     with alone.page() as page:
         alone.lesson.hears("joined")
         with contextlib.suppress(ConnectionClosed):
-            for _ in range(20 * room.MOST_MESSAGES):
+            for _ in range(20 * pages.MOST_MESSAGES):
                 _says(page, type="step")
         told, _ = _closed(page)
         assert told[-1]["type"] == "gone" and "too many" in told[-1]["reason"]
@@ -349,7 +349,7 @@ def test_a_page_that_does_not_read_is_left(alone):
             if n % 50 == 0:
                 time.sleep(0.005)
         alone.lesson.hears("left")
-        assert ours.slow.is_set() and len(ours._waiting) <= room.MOST_WAITING
+        assert ours.slow.is_set() and len(ours._waiting) <= pages.MOST_WAITING
 
 
 # --- the end

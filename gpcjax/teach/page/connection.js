@@ -14,9 +14,10 @@ const DEAD_AFTER = 7000;
  */
 
 export class Connection {
-  /** @param {Listener} listener */
-  constructor(listener) {
+  /** @param {Listener} listener @param {string} [path] of the websocket; a lesson's, with the token of the page's address */
+  constructor(listener, path = `/lesson${location.search}`) {
     this.listener = listener;
+    this.path = path;
     this.wait = FIRST_WAIT;
     this.heard = 0;
     /** The page does not come back by itself, as another one teaches. */
@@ -41,8 +42,8 @@ export class Connection {
     clearTimeout(this.timer);
     this.stays = false;
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    // A token, where the server wants one, is in the page's address or in a cookie.
-    const socket = new WebSocket(`${scheme}://${location.host}/lesson${location.search}`);
+    // A token, where the server wants one, is in the path or in a cookie.
+    const socket = new WebSocket(`${scheme}://${location.host}${this.path}`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     this.heard = performance.now();
