@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,45 +22,43 @@ from gpcjax.engine.history import Credit, History
 from gpcjax.engine.lanes import Lane, fresh, map_lanes
 from gpcjax.engine.lanewise import put, take
 from gpcjax.engine.pool import Tier
-from gpcjax.engine.single import Elsewhere
+from gpcjax.engine.single import Elsewhere, info_in
 from gpcjax.engine.stepping import propose
 from gpcjax.envs.base import begin
-from gpcjax.learners.base import Learner, State
+from gpcjax.learners.base import Info, Learner, State
 
 
 class Standing(NamedTuple):
-    """Where a pupil stands, as a correction takes it."""
+    """Where a pupil stands, as a correction takes it: few arrays, as each costs its share of a call."""
 
-    seed: Int[np.ndarray, ""]
-    episode: Int[np.ndarray, ""]
-    time: Int[np.ndarray, ""]
-    obs: Float[np.ndarray, " obs"]
-    action: Float[np.ndarray, " action"]
+    counts: Int[np.ndarray, " 4"]
+    """The pupil's place, its seed, episode and step."""
+    now: Float[np.ndarray, " numbers"]
+    """Observation and action of the present step, the advice, and the observation at which the policy is looked at."""
     past_obs: Float[np.ndarray, "depth obs"]
     """The steps before, as in `History`; none of them where advice is about the present step."""
     past_action: Float[np.ndarray, "depth action"]
 
 
-class Learned(NamedTuple):
-    """What one correction came to."""
-
-    corrections: Int[np.ndarray, ""]
-    count: Int[np.ndarray, ""]
-    """Entries of the log, the first of the three arrays that follow."""
-    where: Int[np.ndarray, "action 3"]
-    values: Float[np.ndarray, "action 3"]
-    outcome: Any
-    status: Int[np.ndarray, ""]
-    known: "Known"
-
-
 class Known(NamedTuple):
     """What is known of a state, so that nobody has to look at it again."""
 
-    room: Any
+    room: bool
     """Whether the next correction surely fits."""
-    points: tuple[Any, Any]
-    measured: dict[str, Any]
+    points: tuple[int, int]
+    measured: dict[str, float]
+
+
+class Learned(NamedTuple):
+    """What one correction came to."""
+
+    info: Info
+    corrections: int
+    """Action dimensions that were learned."""
+    before: Float[np.ndarray, " action"]
+    """What the policy did where the correction is shown to be about, clipped."""
+    after: Float[np.ndarray, " action"]
+    known: Known
 
 
 class Bench:
@@ -72,15 +71,12 @@ class Bench:
         self.tier = tier
         self._programs = programs
         self.free = set(range(tier.lanes))
-        shapes = programs.shapes
-        self._state, self._controller, self._learner, self._credit = (
-            [np.zeros((tier.lanes, *leaf.shape), leaf.dtype) for leaf in shapes.state],
-            [np.zeros((*leaf.shape, tier.lanes), leaf.dtype) for leaf in shapes.controller],
-            [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)],
-            [np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)],
-        )
-        self._state = [jax.device_put(leaf) for leaf in self._state]
-        self._controller = [jax.device_put(leaf) for leaf in self._controller]
+        self._state, self._controller = programs.empty()
+        self._learner = [np.stack([np.asarray(leaf)] * tier.lanes) for leaf in jax.tree.leaves(learner)]
+        self._credit = [
+            np.stack([np.asarray(leaf)] * tier.lanes, axis=-1) for leaf in jax.tree.leaves(credit)
+        ]
+        self._numbers = jax.device_put((self._learner, self._credit))
 
     def enter(self, learner: Learner, credit: Credit | None, state: State) -> tuple[int, Known]:
         """Puts a learner with this state, of this room or that before, into a free place: gives that."""
@@ -89,12 +85,13 @@ class Bench:
             mine[lane] = leaf
         for mine, leaf in zip(self._credit, jax.tree.leaves(credit), strict=True):
             mine[..., lane] = leaf
+        self._numbers = jax.device_put(([*map(np.copy, self._learner)], [*map(np.copy, self._credit)]))
         leaves, own = jax.tree.leaves(state), [np.asarray(leaf) for leaf in jax.tree.leaves(learner)]
-        self._state, self._controller, known = self._programs.enter(
+        self._state, self._controller, numbers = self._programs.enter(
             self._state, self._controller, leaves, own, np.int32(lane)
         )
         self.free.remove(lane)
-        return lane, self._programs.known(known)
+        return lane, self._programs.known(np.asarray(numbers))
 
     def leave(self, lane: int) -> None:
         """The place is free."""
@@ -108,29 +105,31 @@ class Bench:
         self, obs: Float[np.ndarray, "obs lanes"]
     ) -> tuple[Float[np.ndarray, "action lanes"], np.ndarray]:
         """The actions at these observations before they are clipped, and whether each is a number."""
-        proposed, finite = self._programs.propose(self._controller, obs)
-        return np.asarray(proposed), np.asarray(finite)
+        proposed = np.asarray(self._programs.propose(self._controller, obs))
+        return proposed[:-1], proposed[-1] > 0
 
-    def correct(self, lane: int, at: Standing, advice: Float[np.ndarray, " action"]) -> Learned:
+    def correct(self, at: Standing) -> Learned:
         """Corrects the learner at a place."""
-        self._state, self._controller, leaves = self._programs.correct(
-            self._state, self._controller, self._learner, self._credit, np.int32(lane), at, advice
+        self._state, self._controller, info, packed = self._programs.correct(
+            self._state, self._controller, *self._numbers, at
         )
-        return self._programs.learned(leaves)
+        numbers, size = np.asarray(packed), info.rate.shape[0]
+        before, after = numbers[1 : size + 1], numbers[size + 1 : 2 * size + 1]
+        return Learned(info, int(numbers[0]), before, after, self._programs.known(numbers[2 * size + 1 :]))
 
     def idle(
         self, seeds: np.ndarray, episodes: np.ndarray, times: np.ndarray, waiting: np.ndarray
     ) -> Int[np.ndarray, " lanes"]:
         """Lets the learners at the places `waiting`, which are due, go on by themselves; gives what that came to."""
         self._state, self._controller, status = self._programs.idle(
-            self._state, self._controller, self._learner, self._credit, seeds, episodes, times, waiting
+            self._state, self._controller, *self._numbers, seeds, episodes, times, waiting
         )
         return np.asarray(status)
 
     def known(self, lane: int) -> Known:
         """What is known of the state at a place."""
-        learner = self._programs.learner([leaf[lane] for leaf in self._learner])
-        return self._programs.known(self._programs.about(learner, self.state(lane)))
+        own = [leaf[lane] for leaf in self._learner]
+        return self._programs.known(np.asarray(self._programs.look(self._state, own, np.int32(lane))))
 
     def uncertain(
         self, lane: int, obs: Float[np.ndarray, " obs"], action: Float[np.ndarray, " action"]
@@ -199,38 +198,40 @@ class Programs:
         self.state_form = jax.tree.structure(state)
         self._controller_form = jax.tree.structure(controller)
         self._learner_form, self._credit_form = jax.tree.structure(learner), jax.tree.structure(credit)
+        self._measures = sorted(jax.eval_shape(learner.measure, state))
         self.shapes = Shapes(jax.tree.leaves(state), jax.tree.leaves(controller))
+        self.empty = Ahead(self._empty)
         self.propose = Ahead(self._propose)
         self.correct = Ahead(self._correct, donate=True)
         self.idle = Ahead(self._idle, donate=True)
         self.enter = Ahead(self._put, donate=True)
         self.take = Ahead(lambda leaves, lane: take(leaves, lane, 0))
+        self.look = Ahead(self._look)
         self.uncertain = Ahead(self._uncertain)
         self.acts_at = Ahead(self._acts_at)
 
     def compile(self, before: "Programs | None") -> None:
         """All that a pupil needs who comes here, as the first room's or from that `before`."""
-        state, controller = (
-            [_wide(leaf, self._tier.lanes, axis) for leaf in leaves]
-            for axis, leaves in zip((0, -1), self.shapes, strict=True)
-        )
+        self.empty.compile()
+        state, controller = self._wide
         learner, credit = (jax.tree.map(np.asarray, each) for each in (self._learner, self._credit))
         own = jax.tree.leaves(learner)
         learners = [_wide(leaf, self._tier.lanes, 0) for leaf in own]
         credits = [_wide(leaf, self._tier.lanes, -1) for leaf in jax.tree.leaves(credit)]
         lane, sizes = np.int32(0), (self._learner.obs_size, self._learner.action_size)
         obs, action = map(np.zeros, sizes)
-        number, past = np.array(0, np.int32), [np.zeros((self._depth, size)) for size in sizes]
-        at = Standing(np.array(0), number, number, obs, action, *past)
+        past = [np.zeros((self._depth, size)) for size in sizes]
+        at = Standing(np.zeros(4, np.int64), np.zeros(2 * sum(sizes)), *past)
         for shapes in [self.shapes.state] if before is None else [self.shapes.state, before.shapes.state]:
             self.enter.compile(state, controller, list(shapes), own, lane)
         self.take.compile(state, lane)
         self.propose.compile(controller, np.zeros((len(obs), self._tier.lanes)))
         self.acts_at.compile(controller, lane, obs[:, None])
-        self.correct.compile(state, controller, learners, credits, lane, at, action)
+        self.correct.compile(state, controller, learners, credits, at)
         if self._learner.idle_every:
             seeds, numbers = (np.zeros(self._tier.lanes, kind) for kind in (np.int64, np.int32))
             waiting = np.zeros(self._tier.lanes, bool)
+            self.look.compile(state, own, lane)
             self.idle.compile(state, controller, learners, credits, seeds, numbers, numbers, waiting)
         self.uncertain.compile(state, own, lane, obs, action)
 
@@ -239,19 +240,23 @@ class Programs:
         leaves = jax.tree.leaves(state)
         return [np.shape(leaf) for leaf in leaves] == [leaf.shape for leaf in self.shapes.state]
 
-    def learner(self, leaves: list[Any]) -> Learner:
-        """One with these numbers."""
-        return self._learner_form.unflatten(leaves)
+    def known(self, numbers: Float[np.ndarray, " numbers"]) -> Known:
+        """What `about` has packed."""
+        room, policy, human, *measured = numbers.tolist()
+        return Known(bool(room), (int(policy), int(human)), dict(zip(self._measures, measured, strict=True)))
 
-    def known(self, leaves: Known) -> Known:
-        """On the host."""
-        return jax.tree.map(lambda leaf: np.asarray(leaf).item(), leaves)
-
-    def learned(self, leaves: Learned) -> Learned:
-        """On the host."""
-        return Learned(*map(np.asarray, leaves[:-1]), self.known(leaves.known))
+    @property
+    def _wide(self) -> tuple[list[jax.ShapeDtypeStruct], list[jax.ShapeDtypeStruct]]:
+        """The shapes of a bench: of its state, and of its controller."""
+        lanes = self._tier.lanes
+        state, controller = self.shapes
+        return [_wide(leaf, lanes, 0) for leaf in state], [_wide(leaf, lanes, -1) for leaf in controller]
 
     # --- traced
+
+    def _empty(self) -> tuple[list[Array], list[Array]]:
+        state, controller = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self._wide)
+        return state, controller
 
     def _sized(self, state: State) -> State:
         return self._learner.resize(state, *self._tier.capacities)
@@ -263,8 +268,9 @@ class Programs:
         controllers = put(controllers, lane, jax.tree.leaves(learner.controller(one)), -1)
         return states, controllers, self.about(learner, one)
 
-    def _propose(self, controller: list, obs: Array) -> tuple[Array, Array]:
-        return propose(self._controller_form.unflatten(controller), obs, jnp.zeros(obs.shape[-1]))
+    def _propose(self, controller: list, obs: Array) -> Array:
+        proposed, finite = propose(self._controller_form.unflatten(controller), obs, jnp.zeros(obs.shape[-1]))
+        return jnp.concatenate([proposed, finite[None].astype(proposed.dtype)])
 
     def _correct(
         self,
@@ -272,11 +278,13 @@ class Programs:
         controllers: list,
         learners: list,
         credits: list,
-        lane: Array,
         at: Standing,
-        advice: Array,
     ) -> tuple[Any, ...]:
-        width = self._tier.lanes
+        width, sizes = self._tier.lanes, (self._learner.obs_size, self._learner.action_size)
+        lane, episode, time = (at.counts[index].astype(jnp.int32) for index in (0, 2, 3))
+        obs, action, advice, about = jnp.split(
+            at.now, (sizes[0], sum(sizes), sum(sizes) + sizes[1])
+        )
         everywhere = lambda value: jnp.broadcast_to(value[..., None], (*value.shape, width))  # noqa: E731
         block = self._block(states, controllers, learners, credits)
         history = None
@@ -284,26 +292,21 @@ class Programs:
             history = History(obs=everywhere(at.past_obs), action=everywhere(at.past_action))
         block = dataclasses.replace(
             block,
-            env=dataclasses.replace(block.env, obs=everywhere(at.obs), time=everywhere(at.time)),
-            action=everywhere(at.action),
-            episode=everywhere(at.episode),
-            seed=everywhere(at.seed),
+            env=eqx.tree_at(lambda env: (env.obs, env.time), block.env, (everywhere(obs), everywhere(time))),
+            action=everywhere(action),
+            episode=everywhere(episode),
+            seed=everywhere(at.counts[1]),
             history=history,
         )
         # Of the others, none is advised: their places in the block are the same as this one's, and nobody reads them.
         given = jnp.where(jnp.arange(width)[None] == lane, advice[:, None], 0.0)
         after = correct(block, given)
-        log, size = take(after.log, lane, 0), self._learner.action_size
-        learned = Learned(
-            corrections=after.tally.corrections[lane],
-            count=log.count,
-            where=log.where[:size],
-            values=log.values[:size],
-            outcome=log.outcome[:size],
-            status=after.status[lane],
-            known=self.about(take(block.learner, lane, 0), take(after.state, lane, 0)),
-        )
-        return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), learned
+        before, then = (self._act(leaves, lane, about) for leaves in (controllers, after.controller))
+        learner, state = take((block.learner, after.state), lane, 0)
+        info = info_in(take(after.log, lane, 0), after.status[lane], self._learner.action_size)
+        learned = after.tally.corrections[lane].astype(float)
+        packed = jnp.concatenate([learned[None], before, then, self.about(learner, state)])
+        return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), info, packed
 
     def _idle(
         self,
@@ -317,23 +320,37 @@ class Programs:
         waiting: Array,
     ) -> tuple[Any, ...]:
         block = self._block(states, controllers, learners, credits)
-        env = dataclasses.replace(block.env, time=times)
+        env = eqx.tree_at(lambda env: env.time, block.env, times)
         block = dataclasses.replace(block, env=env, seed=seeds, episode=episodes, waiting=waiting)
         after = correct(block, jnp.zeros_like(block.action))
         return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), after.status
+
+    def _look(self, states: list, own: list, lane: Array) -> Array:
+        return self.about(
+            self._learner_form.unflatten(own), self.state_form.unflatten(take(states, lane, 0))
+        )
+
+    def _act(self, controllers: Any, lane: Array, obs: Array) -> Array:
+        controller = self._controller_form.unflatten(take(jax.tree.leaves(controllers), lane, -1))
+        return jnp.clip(controller(obs), -1.0, 1.0)
 
     def _uncertain(self, states: list, own: list, lane: Array, obs: Array, action: Array) -> Array:
         one = self.state_form.unflatten(take(states, lane, 0))
         return self._learner_form.unflatten(own)._uncertainty(one, obs, action)
 
     def _acts_at(self, controllers: list, lane: Array, obs: Array) -> Array:
-        controller = self._controller_form.unflatten(take(controllers, lane, -1))
-        return jnp.clip(jax.vmap(controller, in_axes=-1, out_axes=-1)(obs), -1.0, 1.0)
+        return jax.vmap(lambda obs: self._act(controllers, lane, obs), in_axes=-1, out_axes=-1)(obs)
 
-    def about(self, learner: Learner, state: State) -> Known:
-        """What is known of a state; traced, or not."""
+    def about(self, learner: Learner, state: State) -> Float[Array, " numbers"]:
+        """What is known of a state, packed."""
         moments = 1 if self._credit is None else self._credit.moments
-        return Known(learner.has_room(state, moments), learner.points(state), learner.measure(state))
+        measured = learner.measure(state)
+        numbers = [
+            learner.has_room(state, moments),
+            *learner.points(state),
+            *(measured[name] for name in self._measures),
+        ]
+        return jnp.stack([jnp.asarray(number, float) for number in numbers])
 
     def _block(self, states: list, controllers: list, learners: list, credits: list) -> Lane:
         """The bench as the engine's functions know it, at no step."""

@@ -16,16 +16,15 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Bench, Known, Programs, Standing
-from gpcjax.engine.desk import Desk
+from gpcjax.engine.desk import Advised, Desk
 from gpcjax.engine.history import Credit
 from gpcjax.engine.pool import Tier
-from gpcjax.engine.single import info_of
 from gpcjax.errors import UserError
-from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.base import Learner, State
 
 ROOMS = ((64, 64), (128, 256), (256, 512), (1024, 1024))
 """Points of each policy and each human model, as dictionaries grow. Human models only append and outgrow policies.
@@ -122,16 +121,6 @@ class Classroom:
             state = learner.init(streams.first_key(seed))
         return self._place(Pupil(self, learner, seed, credit), state)
 
-    def admit(self, pupil: "Pupil") -> "Pupil":
-        """One from another classroom of this kind, at the same step, with all that it has learned. It is a copy.
-
-        Raises:
-            UserError: there is no free place.
-        """
-        copy = Pupil(self, pupil.learner, pupil.seed, pupil.credit)
-        copy.stand_as(pupil)
-        return self._place(copy, pupil.state)
-
     def leave(self, pupil: "Pupil") -> None:
         """Gives its place back."""
         with self.lock:
@@ -196,12 +185,6 @@ class Pupil(Desk):
         self._past_obs = np.zeros((self._depth, learner.obs_size))
         self._past_action = np.zeros((self._depth, learner.action_size))
 
-    def stand_as(self, other: "Pupil") -> None:
-        """At the step at which another one of this kind stands."""
-        self._episode, self._time = other.episode, other.time
-        self._obs, self._action = other.obs, other.action
-        self._past_obs, self._past_action = other._past_obs.copy(), other._past_action.copy()
-
     @property
     def episode(self) -> int:
         return self._episode
@@ -230,23 +213,23 @@ class Pupil(Desk):
     def stepped(
         self, obs: Float[np.ndarray, " obs"], begins: bool, another: bool
     ) -> "tuple[Pupil, Float[np.ndarray, ' action'], bool]":
-        ((proposed, finite),) = propose([self], [obs])
+        ((proposed,), (finite,)) = propose([self], obs[None])
         if finite:
-            self.move(obs, proposed, begins, another)
-        return self, proposed, finite
+            self.move(obs, proposed.clip(-1.0, 1.0), begins, another)
+        return self, proposed, bool(finite)
 
     def move(
         self,
         obs: Float[np.ndarray, " obs"],
-        proposed: Float[np.ndarray, " action"],
+        action: Float[np.ndarray, " action"],
         begins: bool,
         another: bool,
     ) -> None:
-        """To the next step, at which this is proposed."""
+        """To the next step, at which this is executed."""
         if self._depth and not begins:
             place = self._time % self._depth
             self._past_obs[place], self._past_action[place] = self._obs, self._action
-        self._obs, self._action = obs, proposed.clip(-1.0, 1.0)
+        self._obs, self._action = obs, action
         self._time = 0 if begins else self._time + 1
         self._episode += another
 
@@ -254,18 +237,18 @@ class Pupil(Desk):
         self._action = np.array(action)
         return self
 
-    def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Pupil, Info, int]":
+    def advised(
+        self, advice: Float[np.ndarray, " action"], about: Float[np.ndarray, " obs"] | None = None
+    ) -> "tuple[Pupil, Advised]":
         with self.lock:
             while not self.known.room and self._classroom.promote(self):
                 pass
-            learned = self.bench.correct(self.lane, self._standing(), advice)
+            at = self._obs if about is None else about
+            counts = np.array([self.lane, self.seed, self._episode, self._time])
+            now = np.concatenate([self._obs, self._action, advice, at])
+            learned = self.bench.correct(Standing(counts, now, self._past_obs, self._past_action))
             self.known = learned.known
-        count = int(learned.count)
-        where, values, outcome = (
-            np.asarray(each)[:count] for each in (learned.where, learned.values, learned.outcome)
-        )
-        info = info_of(where, values, outcome, int(learned.status), self.learner.action_size)
-        return self, info, int(learned.corrections)
+        return self, Advised(learned.info, learned.corrections, learned.before, learned.after)
 
     def taken_back(self, before: Any) -> "Pupil":
         raise UserError("in a classroom nothing that was learned is taken back")
@@ -325,36 +308,23 @@ class Pupil(Desk):
         """Gives its place back."""
         self._classroom.leave(self)
 
-    def _standing(self) -> Standing:
-        return Standing(
-            np.array(self.seed),
-            np.array(self._episode, np.int32),
-            np.array(self._time, np.int32),
-            self._obs,
-            self._action,
-            self._past_obs,
-            self._past_action,
-        )
-
 
 def propose(
-    pupils: Sequence[Pupil], observations: Sequence[Float[np.ndarray, " obs"]]
-) -> list[tuple[Float[np.ndarray, " action"], bool]]:
+    pupils: Sequence[Pupil], observations: Float[np.ndarray, "pupils obs"]
+) -> tuple[Float[np.ndarray, "pupils action"], Bool[np.ndarray, " pupils"]]:
     """What the policies of pupils of one classroom propose at their observations, before it is clipped.
 
     Gives with each whether it is a number. Nobody moves.
     """
-    found: list[Any] = [None] * len(pupils)
+    actions = np.zeros((len(pupils), pupils[0].learner.action_size if pupils else 0))
+    finite = np.zeros(len(pupils), bool)
     for bench, members in _by_bench(pupils).items():
-        first = observations[members[0]]
-        obs = np.zeros((len(first), bench.tier.lanes))
-        for index in members:
-            obs[:, pupils[index].lane] = observations[index]
-        proposed, finite = bench.propose(obs)
-        for index in members:
-            lane = pupils[index].lane
-            found[index] = proposed[:, lane].copy(), bool(finite[lane])
-    return found
+        lanes = [pupils[index].lane for index in members]
+        obs = np.zeros((observations.shape[1], bench.tier.lanes))
+        obs[:, lanes] = observations[members].T
+        proposed, sound = bench.propose(obs)
+        actions[members], finite[members] = proposed[:, lanes].T, sound[lanes]
+    return actions, finite
 
 
 def idle(pupils: Sequence[Pupil]) -> None:

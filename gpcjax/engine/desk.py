@@ -7,7 +7,7 @@ engine's own functions, whichever it is.
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,17 @@ from gpcjax.engine.single import (
     uncertain,
 )
 from gpcjax.learners.base import Info, Learner, State
+
+
+class Advised(NamedTuple):
+    """What one advice did."""
+
+    info: Info
+    corrections: int
+    """Action dimensions in which it was learned."""
+    before: Float[np.ndarray, " action"]
+    """What the policy did where the advice is shown to be about, clipped."""
+    after: Float[np.ndarray, " action"]
 
 
 class Desk(abc.ABC):
@@ -82,8 +93,13 @@ class Desk(abc.ABC):
         """Something else was executed at the present step than was proposed."""
 
     @abc.abstractmethod
-    def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Desk, Info, int]":
-        """Corrected, with what was done and how many corrections were learned; room is made first where it is due."""
+    def advised(
+        self, advice: Float[np.ndarray, " action"], about: Float[np.ndarray, " obs"] | None = None
+    ) -> "tuple[Desk, Advised]":
+        """Corrected, with what that did; room is made first where it is due.
+
+        What the policy does at `about` before and after is told, or NaN without one.
+        """
 
     @abc.abstractmethod
     def taken_back(self, before: "Desk") -> "Desk":
@@ -167,9 +183,13 @@ class Alone(Desk):
     def executed(self, action: Float[np.ndarray, " action"]) -> "Alone":
         return self._with(dataclasses.replace(self.block, action=jnp.asarray(action)[:, None]))
 
-    def advised(self, advice: Float[np.ndarray, " action"]) -> "tuple[Alone, Info, int]":
+    def advised(
+        self, advice: Float[np.ndarray, " action"], about: Float[np.ndarray, " obs"] | None = None
+    ) -> "tuple[Alone, Advised]":
         block = jax.block_until_ready(advised(self._with_room(), advice[:, None]))
-        return self._with(cleared(block)), told(block), int(np.asarray(block.tally.corrections)[0])
+        after = self._with(cleared(block))
+        shown = [np.full(len(advice), np.nan) if about is None else each.acts(about) for each in (self, after)]
+        return after, Advised(told(block), int(np.asarray(block.tally.corrections)[0]), *shown)
 
     def taken_back(self, before: Desk) -> "Alone":
         assert isinstance(before, Alone)

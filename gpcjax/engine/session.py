@@ -20,7 +20,7 @@ from jaxtyping import Float
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.allowed import NON_NEGATIVE, POSITIVE, Numbers, checked, shown
 from gpcjax.engine.classroom import Classroom, Pupil, idle, propose, rooms_of
-from gpcjax.engine.desk import Alone, Desk
+from gpcjax.engine.desk import Advised, Alone, Desk
 from gpcjax.engine.history import Credit
 from gpcjax.engine.single import single
 from gpcjax.errors import UserError
@@ -103,6 +103,8 @@ class Session:
         self._proposed = np.zeros(learner.action_size)
         self.corrections = 0
         """Advice that was learned, and not undone, counted for each action dimension."""
+        self.latest: tuple[list[float], list[float]] = [], []
+        """Observation and action as they were when the latest step was proposed."""
         self._recording: Recording | None = None
         self._records_since = time.monotonic()
 
@@ -178,13 +180,19 @@ class Session:
     ) -> Float[np.ndarray, " action"]:
         """The step that the desk has come to: the rest of `propose`."""
         if not finite:
-            raise UserError(f"the policy's action at {shown(obs.tolist())} is no number")
+            raise _no_number(obs)
         with self._recorded():
-            self._desk, self._begun, self._begins = desk, True, False
-            self._proposed = proposed
+            self._desk = desk
             action = desk.action
-            self._keep("propose", obs=obs.tolist(), action=action.tolist())
+            self._heard(proposed, obs.tolist(), action.tolist())
         return action
+
+    def _heard(self, proposed: np.ndarray, obs: list[float], action: list[float]) -> None:
+        """What was proposed at the step that the desk has come to."""
+        self._begun, self._begins = True, False
+        self._proposed = proposed
+        self.latest = obs, action
+        self._keep("propose", obs=obs, action=action)
 
     def act(self, obs: Vector) -> Float[np.ndarray, " action"]:
         """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
@@ -218,6 +226,10 @@ class Session:
         Raises:
             ValueError: another shape or value, or no step has begun.
         """
+        return self.advise_about(advice, None).info
+
+    def advise_about(self, advice: Vector | float, about: Vector | None) -> Advised:
+        """The same, and what the policy does at `about` (obs_size,) before and after; NaN without one."""
         entries: Any = [advice] if np.ndim(advice) == 0 else advice
         given = np.asarray(vector("advice", entries, self.learner.action_size, "this learner"))
         if not np.isin(given, (-1.0, 0.0, 1.0)).all():
@@ -225,14 +237,15 @@ class Session:
         with self._lock:
             self._check_begun()
             before = self._desk, self.corrections
+            place = None if about is None else self._numbers("about", about, self.learner.obs_size)
             with one_thread() if self.learner.factorises else contextlib.nullcontext():
-                desk, info, learned = self._desk.advised(given)
+                desk, done = self._desk.advised(given, place)
             with self._recorded():
-                self.corrections += learned
+                self.corrections += done.corrections
                 self._desk = desk
                 self._keep("advise", advice=given.astype(int).tolist())
             self._undos.append(before)
-            return info
+            return done
 
     def undo(self) -> bool:
         """Takes the latest advice back, with all that was learned since; False if there is none to take back."""
@@ -346,6 +359,7 @@ class Session:
         go_on: bool = False,
         told: "Told | None" = None,
         check_from: int = 0,
+        classroom: Classroom | None = None,
     ) -> "Session":
         """The session whose events are in the file `record`, made again: the same to the bit, on the same machine.
 
@@ -356,29 +370,48 @@ class Session:
             told: called after each event with the session, the event, and what its method gave.
             check_from: the first episode in which actions are worked out anew. Those before, of a session in a
                 classroom, are taken as they were recorded, which is a hundred times as fast.
+            classroom: where there is a place for it, of a session in a classroom; without one, in one of its own.
 
         Raises:
             ValueError: the file cannot be read, is no recording, or one of another kind of learner; or an action is
                 another one than was recorded, as on another kind of machine. The message names line and step.
         """
         first, events = Recording.read(record)
-        session = cls._at(str(record), learner, state, first)
-        for number, event in enumerate(events, 2):
-            try:
-                quickly = event["episode"] < check_from and isinstance(session._desk, Pupil)
-                outcome = session._again(event, quickly)
-            except UserError as error:
-                raise UserError(f"{record}, line {number}: {error}") from None
-            if (session.episode, session.step) != (event["episode"], event["step"]):
-                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
-            if told is not None:
-                told(session, event, outcome)
-        if go_on:
-            session._recording = Recording.again(record)
+        session = cls._at(str(record), learner, state, first, classroom)
+        try:
+            session._replay(record, events, told, check_from)
+            if go_on:
+                kind = Recording if classroom is None else Deferred
+                session._recording = kind.again(record)
+        except BaseException:
+            if classroom is not None:
+                leave(session)
+            raise
         return session
 
+    def _replay(
+        self, record: Any, events: Sequence[Mapping[str, Any]], told: "Told | None", check_from: int
+    ) -> None:
+        for number, event in enumerate(events, 2):
+            try:
+                quickly = event["episode"] < check_from and isinstance(self._desk, Pupil)
+                outcome = self._again(event, quickly)
+            except UserError as error:
+                raise UserError(f"{record}, line {number}: {error}") from None
+            if (self.episode, self.step) != (event["episode"], event["step"]):
+                raise UserError(f"{record}, line {number}: lines before it are missing, or were changed")
+            if told is not None:
+                told(self, event, outcome)
+
     @classmethod
-    def _at(cls, source: str, learner: Learner, state: State | None, kept: Mapping[str, Any]) -> "Session":
+    def _at(
+        cls,
+        source: str,
+        learner: Learner,
+        state: State | None,
+        kept: Mapping[str, Any],
+        classroom: Classroom | None = None,
+    ) -> "Session":
         """A session with these settings, at this place: what `save` and a recording keep. `source` begins messages."""
         try:
             settings, place = dict(kept["settings"]), dict(kept["place"])
@@ -388,7 +421,7 @@ class Session:
             if rooms is None:
                 session = cls(learner, state, **settings)
             else:
-                session = cls._in_classroom(learner, state, settings)
+                session = cls._in_classroom(learner, state, settings, classroom)
             session._move(place)
         except UserError as error:
             raise UserError(f"{source}: {error}") from None
@@ -397,10 +430,19 @@ class Session:
         return session
 
     @classmethod
-    def _in_classroom(cls, learner: Learner, state: State | None, settings: dict[str, Any]) -> "Session":
-        """A session in a classroom of its own: to the bit what it is among others."""
-        credit = credit_of(settings)
-        classroom = Classroom(learner, credit, rooms_of(settings[ROOMS]), 1)
+    def _in_classroom(
+        cls,
+        learner: Learner,
+        state: State | None,
+        settings: dict[str, Any],
+        classroom: Classroom | None,
+    ) -> "Session":
+        """A session in a classroom, or in one of its own: to the bit it is the same."""
+        credit, rooms = credit_of(settings), rooms_of(settings[ROOMS])
+        if classroom is None:
+            classroom = Classroom(learner, credit, rooms, 1)
+        elif rooms_of(classroom.rooms) != rooms:
+            raise UserError("its dictionaries grew in other steps than they do here")
         return cls._seated(learner, classroom.enter(learner, settings["seed"], credit, state), settings)
 
     def _place(self) -> dict[str, Any]:
@@ -461,7 +503,7 @@ class Session:
     @contextlib.contextmanager
     def _recorded(self) -> Iterator[None]:
         """What cannot be written down has not happened."""
-        names = ("_desk", "_begun", "_begins", "_proposed", "corrections")
+        names = ("_desk", "latest", "_begun", "_begins", "_proposed", "corrections")
         before = {name: getattr(self, name) for name in names}
         try:
             yield
@@ -508,46 +550,41 @@ def in_classroom(
     return session
 
 
-def moved_to(session: Session, classroom: Classroom, recording: Path) -> Session:
-    """The session at a free desk of another classroom, going on with its recording.
-
-    Raises:
-        UserError: all places are taken, or the recording cannot be written.
-    """
-    old = session._desk
-    assert isinstance(old, Pupil)
-    recorded = Deferred.again(recording)
-    session._desk = classroom.admit(old)
-    session._record(recorded)
-    old.leave()
-    return session
-
-
 def leave(session: Session) -> None:
     """Gives the session's desk in a classroom back: nothing follows."""
     _pupil(session).leave()
 
 
 def propose_together(
-    sessions: Sequence[Session], observations: Sequence[Float[np.ndarray, " obs"]]
+    sessions: Sequence[Session], observations: Float[np.ndarray, "sessions obs"]
 ) -> list[UserError | None]:
     """`Session.propose` of each session of one classroom at its observation, in one call of its programs.
 
-    Gives what each of them raised.
+    Their recordings are deferred. Gives what each of them raised.
     """
     pupils = [_pupil(session) for session in sessions]
     idle([pupil for session, pupil in zip(sessions, pupils, strict=True) if session._idles])
-    proposals = propose(pupils, observations)
+    proposed, finite = propose(pupils, observations)
+    rows = zip(
+        sessions,
+        pupils,
+        observations,
+        proposed,
+        proposed.clip(-1.0, 1.0),
+        finite.tolist(),
+        strict=True,
+    )
     raised: list[UserError | None] = []
-    for session, pupil, obs, (proposed, finite) in zip(sessions, pupils, observations, proposals, strict=True):
-        try:
-            if finite:
-                pupil.move(obs, proposed, *session._flags)
-            session._proposes(obs, pupil, proposed, finite)
-            raised.append(None)
-        except UserError as error:
-            raised.append(error)
+    for session, pupil, obs, each, action, sound in rows:
+        if sound:
+            pupil.move(obs, action, *session._flags)
+            session._heard(each, obs.tolist(), action.tolist())
+        raised.append(None if sound else _no_number(obs))
     return raised
+
+
+def _no_number(obs: np.ndarray) -> UserError:
+    return UserError(f"the policy's action at {shown(obs.tolist())} is no number")
 
 
 def _pupil(session: Session) -> Pupil:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.engine.correcting import correct
 from gpcjax.engine.history import Credit, History
-from gpcjax.engine.lanes import Lane, Tally, empty_tally, fresh, map_lanes
+from gpcjax.engine.lanes import CorrectionLog, Lane, Tally, empty_tally, fresh, map_lanes
 from gpcjax.engine.stepping import propose, remember
 from gpcjax.envs.base import State as EnvState
 from gpcjax.envs.base import begin
@@ -208,25 +208,23 @@ def idled(block: Lane) -> Lane:
 
 def told(block: Lane) -> Info:
     """What the corrections of a block have done that was `cleared` before them."""
-    count = int(np.asarray(block.log.count)[0])
-    where, values, outcome = (
-        np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome")
-    )
-    return info_of(where, values, outcome, int(np.asarray(block.status)[0]), block.action.shape[0])
-
-
-def info_of(
-    where: Int[np.ndarray, "log 3"],
-    values: Float[np.ndarray, "log 3"],
-    outcome: Bool[np.ndarray, "log 3"],
-    status: int,
-    action_size: int,
-) -> Info:
-    """What one advice has done, of its entries in a `CorrectionLog` and the status that they left."""
+    count, action_size = int(np.asarray(block.log.count)[0]), block.action.shape[0]
+    logged = (np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome"))
+    where, values, outcome = logged
     numbers, flags = np.full((action_size, 3), np.nan), np.zeros((action_size, 3), bool)
     numbers[:, 0] = 0.0
     numbers[where[:, 2]], flags[where[:, 2]] = values, outcome
-    return Info(*jax.device_put((*numbers.T, *flags.T, np.int32(status))))
+    return Info(*jax.device_put((*numbers.T, *flags.T, np.asarray(block.status)[0])))
+
+
+def info_in(log: CorrectionLog, status: Int[Array, ""], action_size: int) -> Info:
+    """The same of one lane's log, as part of a program."""
+    logged = jnp.arange(action_size) < log.count
+    place = jnp.where(logged, log.where[:action_size, 2], action_size)  # behind the last one: dropped
+    numbers = jnp.full((action_size, 3), jnp.nan).at[:, 0].set(0.0)
+    numbers = numbers.at[place].set(log.values[:action_size], mode="drop")
+    flags = jnp.zeros((action_size, 3), bool).at[place].set(log.outcome[:action_size], mode="drop")
+    return Info(*numbers.T, *flags.T, status)
 
 
 def cleared(block: Lane) -> Lane:

@@ -11,12 +11,15 @@ A run that is being corrected misses no step: it is caught up with as soon as th
 """
 
 import contextlib
+import gc
 import math
 import queue
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
 
 from gpcjax.engine.classroom import kind_of
 from gpcjax.engine.session import credit_of, propose_together
@@ -28,7 +31,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
 from gpcjax.teach.taught import Taught, settings_of
-from gpcjax.teach.worlds import step_together
+from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]
 
@@ -65,15 +68,17 @@ class Hall:
         self._context = contextlib.ExitStack()
         self._clock = threading.Thread(target=self._run, daemon=True, name="clock")
         self._learning = threading.Thread(target=self._learn, daemon=True, name="learning")
-        self._ahead = threading.Thread(target=self._compile_ahead, daemon=True, name="compiling ahead")
 
     def start(self) -> None:
-        """Compiles what runs need as they begin, and starts. What they need later is compiled beside."""
+        """Compiles all that runs need, also what they need when dictionaries have grown, and starts."""
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda kind: kind.compile(first=True), self._kinds.values()))
+            list(pool.map(lambda kind: kind.compile(), self._kinds.values()))
         self._context.enter_context(one_thread())
+        gc.collect()
+        gc.freeze()  # what was loaded stays: to look through it takes longer than a step
+        self._context.callback(gc.unfreeze)
         self._papers, self._door = Errands(self.fault), Errands(self.fault)
-        for thread in (self._clock, self._learning, self._ahead):
+        for thread in (self._clock, self._learning):
             thread.start()
 
     def close(self) -> None:
@@ -99,6 +104,9 @@ class Hall:
             raise UserError(f"{run.course.algo} on {run.course.env}, with these settings, is not taught here")
         seat = Seat(self, kind, run, say)
         with self._taking:
+            here = next((each for each in self._seats if each.run.folder == run.folder and not each.left), None)
+            if here is not None:
+                raise UserError(f"{run.folder}: somebody is at this run, who must leave before")
             if len(self._seats) >= self._places:
                 raise UserError(f"all {self._places:,} places are taken: try again when somebody has left")
             if any(each.run.folder == run.folder for each in self._seats):  # one that is just being left
@@ -127,9 +135,9 @@ class Hall:
         if seat.behind and seat.runs:
             self._steps(seat.kind, [seat], 0.0)
 
-    def keeps(self, seat: Seat) -> None:
+    def keeps(self, seat: Seat, apart: float = KEEP_APART) -> None:
         """Has policy and rows written as they are."""
-        self._ask("keep", seat, lambda: self._keep(seat), KEEP_APART)
+        self._ask("keep", seat, lambda: self._keep(seat), apart)
 
     def completes(self, seat: Seat) -> None:
         """Has all written, and tells so."""
@@ -156,9 +164,10 @@ class Hall:
                 with seat.lock, self._taking:
                     if seat.taught is not None:
                         seat.kind.release(seat.taught)
+                        seat.held.close()
                     seat.taught = None
-                    seat.held.close()
                     self._seats.discard(seat)
+                seat.gone.set()
 
         self._ask("leave", seat, write)
 
@@ -174,9 +183,12 @@ class Hall:
 
     def fault(self, error: BaseException) -> None:
         """Tells what should not have happened."""
-        self._say_problem(
-            str(error) if isinstance(error, UserError) else f"a fault of gpcjax: {type(error).__name__}: {error}"
-        )
+        self._say_problem(self._words(error))
+
+    @staticmethod
+    def _words(error: BaseException) -> str:
+        told = isinstance(error, UserError | OSError)
+        return str(error) if told else f"a fault of gpcjax: {type(error).__name__}: {error}"
 
     # --- the door, and papers
 
@@ -190,21 +202,28 @@ class Hall:
     def _prepare(self, seat: Seat) -> None:
         if seat.left:
             return
+        with self._taking:
+            before = [each for each in self._seats if each is not seat and each.run.folder == seat.run.folder]
+        for each in before:  # who was there is leaving: its last steps are being written
+            each.gone.wait()
         try:
             seat.run.folder.mkdir(parents=True, exist_ok=True)
             seat.held.enter_context(held(seat.run.folder))
             taught = seat.kind.prepare(seat.run)
-        except (UserError, OSError) as error:
+        except Exception as error:
             seat.held.close()
-            text = str(error)
+            text = self._words(error)
             self.does(lambda: seat.problem(text))
             return
         self.does(lambda: self._sit(seat, taught))
 
     def _sit(self, seat: Seat, taught: Taught) -> None:
+        if seat.left:
+            seat.kind.release(taught)
+            seat.held.close()
+            return
         seat.sits(taught)
-        if not seat.left:
-            self._flush(seat)
+        self._flush(seat)
 
     def _ask(self, name: str, seat: Seat, do: Callable[[], object], apart: float = 0.0) -> None:
         self._papers.ask(f"{name} {id(seat)}", lambda: do() and None, apart)
@@ -226,16 +245,11 @@ class Hall:
         seat.catch_up()
         try:
             write()
-        except (UserError, OSError) as error:
-            text = str(error)
+        except Exception as error:
+            text = self._words(error)
             self.does(lambda: seat.problem(text))
             return False
         return True
-
-    def _compile_ahead(self) -> None:
-        for kind in self._kinds.values():
-            if not self._closing:
-                kind.compile(first=False)
 
     # --- learning
 
@@ -268,7 +282,12 @@ class Hall:
         running = [seat for seat in self._seats_of(kind) if seat.runs]
         kind.due += kind.seconds + (behind if behind > LATEST else 0.0)
         if running:
-            self._steps(kind, running, 1000 * behind)
+            try:
+                self._steps(kind, running, 1000 * behind)
+            except Exception as error:  # of ours: all of this kind would meet it at each step
+                self.fault(error)
+                for seat in running:
+                    seat.breaks(self._words(error))
         else:
             kind.due = math.inf
 
@@ -291,25 +310,32 @@ class Hall:
                 seat.lock.release()
 
     def _step(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
-        actions = [seat.session.action for seat in seats]
-        worlds = [seat.taught.world for seat in seats if seat.taught is not None]
-        going: list[Seat] = []
-        observations = []
-        for seat, moved in zip(seats, step_together(kind.worlds, worlds, actions), strict=True):
-            taught = seat.taught
-            assert taught is not None
+        actions = [seat.session.latest[1] for seat in seats]
+        going: list[tuple[Seat, np.ndarray]] = []
+        beginning: list[Seat] = []
+        moves = step_together(kind.worlds, [seat.world for seat in seats], actions)
+        for seat, moved in zip(seats, moves, strict=True):
             if isinstance(moved, UserError):
                 seat.breaks(str(moved))
                 continue
-            taught.moved(moved)
+            seat.moves(moved)
             why = "over" if moved.over else "time" if seat.time_is_up() else None
-            obs = moved.obs if why is None else self._ended(seat, why)
-            if obs is not None:
-                going.append(seat)
-                observations.append(obs)
-        raised = propose_together([seat.session for seat in going], observations)
+            if why is None:
+                going.append((seat, moved.obs))
+            elif self._goes_on_after(seat, why):
+                beginning.append(seat)
+        if beginning:
+            worlds, episodes = [seat.world for seat in beginning], [seat.episode for seat in beginning]
+            for seat, obs in zip(beginning, begin_together(kind.worlds, worlds, episodes), strict=True):
+                if isinstance(obs, UserError):
+                    seat.breaks(str(obs))
+                else:
+                    going.append((seat, obs))
+        if not going:
+            return
+        raised = propose_together([seat.session for seat, _ in going], np.array([obs for _, obs in going]))
         now = time.perf_counter()
-        for seat, error in zip(going, raised, strict=True):
+        for (seat, _), error in zip(going, raised, strict=True):
             if error is not None:
                 seat.breaks(str(error))
                 continue
@@ -318,19 +344,14 @@ class Hall:
                 seat.sigma_asked = now
                 self.learns(seat.measure_sigma)
 
-    def _ended(self, seat: Seat, why: str):
-        """Ends an episode; gives the first observation of the next one, unless it was the last."""
-        taught = seat.taught
-        assert taught is not None
-        taught.close(why)
-        seat.told_end(why)
-        if not seat.is_over():
+    def _goes_on_after(self, seat: Seat, why: str) -> bool:
+        """Ends an episode: whether another one follows."""
+        seat.ends(why)
+        if not seat.over:
             self.keeps(seat)
-            return taught.world.begin(taught.episode)
-        seat.over = True
-        seat.rests("over")
+            return True
         self.completes(seat)
-        return None
+        return False
 
 
 def _of(course: Course) -> Hashable:

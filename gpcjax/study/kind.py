@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from gpcjax.engine.classroom import ROOMS, Classroom, Rooms
-from gpcjax.engine.session import credit_of, in_classroom, leave, moved_to
+from gpcjax.engine.session import credit_of, in_classroom, leave
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner
@@ -15,7 +15,7 @@ from gpcjax.teach.course import COURSE, RECORD, Course, seconds_of
 from gpcjax.teach.tally import Tally
 from gpcjax.teach.taught import Taught, settings_of
 from gpcjax.teach.telling import bounds, described_task
-from gpcjax.teach.worlds import Place, Worlds
+from gpcjax.teach.worlds import Worlds
 
 
 class Kind:
@@ -62,11 +62,10 @@ class Kind:
         rooms = _rooms(course)
         return beginning(course, None, rooms[0][0] if rooms else None)[0]
 
-    def compile(self, first: bool) -> None:
-        """All that a run needs as it begins, or all that comes later."""
-        if first:
-            self._worlds.compile()
-        self._classroom.compile(1 if first else None)
+    def compile(self) -> None:
+        """All that a run needs, whatever it comes to."""
+        self._worlds.compile()
+        self._classroom.compile()
 
     def prepare(self, run: Run) -> Taught:
         """What is taught in a run: begun, or made again from its recording, in a place of this kind.
@@ -85,7 +84,11 @@ class Kind:
         settings = settings_of(run.course)
         session = in_classroom(self._classroom, self.learner_of(run.course), settings, record)
         taught = Taught(run.folder, run.course, session, self._worlds.enter(run.course.seed), Tally())
-        taught.begin_episode()
+        try:
+            taught.begin_episode()
+        except UserError:
+            self.release(taught)
+            raise
         return taught
 
     def release(self, taught: Taught) -> None:
@@ -94,11 +97,13 @@ class Kind:
         self._worlds.leave(taught.world)
 
     def _resumed(self, run: Run) -> Taught:
-        taught = Taught.resume(run.folder, lambda line: None, goes_on=False)
-        moved_to(taught.session, self._classroom, run.folder / RECORD)
-        old, taught.world = taught.world, self._worlds.admit(taught.world)
-        if isinstance(old, Place):
-            old.worlds.leave(old)
+        taught = Taught.resume(run.folder, lambda line: None, places=self)
+        try:
+            if not taught.present.obs and len(taught.tally.finished) < run.episodes:
+                taught.begin_episode()
+        except UserError:
+            self.release(taught)
+            raise
         return taught
 
 

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpcjax.engine.session import Session
+from gpcjax.errors import UserError
 from gpcjax.teach.course import Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import episode_of, frame_of
+from gpcjax.teach.world import Moved, World
+from gpcjax.teach.worlds import Place
 
 if TYPE_CHECKING:
     from gpcjax.study.hall import Hall
@@ -72,11 +75,13 @@ class Seat:
         self.over = self.left = self.broken = False
         """Complete; given back; at a step from which it cannot go on."""
         self._paused, self._why, self._problem = True, "preparing", None
+        self.gone = threading.Event()
+        """Set when the place is free again."""
         self.sigma: list[float] | None = None
         self.sigma_asked = 0.0
         self.held = contextlib.ExitStack()
         """The lock of its folder."""
-        self._number = self._first_of_episode = 0
+        self._number = self._first_of_episode = self._steps = 0
 
     # --- for the page
 
@@ -109,6 +114,17 @@ class Seat:
         return self.taught.session
 
     @property
+    def world(self) -> World | Place:
+        """Where its task is."""
+        assert self.taught is not None
+        return self.taught.world
+
+    @property
+    def episode(self) -> int:
+        """Index of the present one."""
+        return self._finished
+
+    @property
     def runs(self) -> bool:
         """Whether its steps are due."""
         return not self._paused
@@ -127,6 +143,7 @@ class Seat:
     def sits(self, taught: Taught) -> None:
         """What was prepared: from here on it rests, and is told."""
         self.taught = taught
+        self._steps = sum(episode.length for episode in taught.tally.finished) + taught.present.length
         self.over = self.is_over()
         self._why = "over" if self.over else "start"
         self._tell_everything()
@@ -142,13 +159,21 @@ class Seat:
         self.broken = True
         self.problem(text)
 
-    def told_end(self, why: str) -> None:
-        """The episode that has just ended."""
+    def moves(self, moved: Moved) -> None:
+        """Counts a step of the task."""
         assert self.taught is not None
-        finished = self.taught.tally.finished
+        self.taught.moved(moved)
+        self._steps += 1
+
+    def ends(self, why: str) -> None:
+        """Ends the episode, and tells; after the last one it rests for good."""
+        assert self.taught is not None
+        ended = self.taught.close(why)
         self._first_of_episode = self._number + 1
-        told = episode_of(len(finished) - 1, finished[-1])
-        self._tell({"type": "episode", **told, "why": why})
+        self._tell({"type": "episode", **episode_of(self.episode - 1, ended), "why": why})
+        self.over = self.is_over()
+        if self.over:
+            self.rests("over")
 
     def rests(self, why: str) -> None:
         """It rests from now on."""
@@ -163,7 +188,7 @@ class Seat:
 
     def time_is_up(self) -> bool:
         """Whether no more steps fit into the run."""
-        return self.run.seconds is not None and self._time() >= self.run.seconds - 1e-9
+        return self.run.seconds is not None and self._steps * self.kind.seconds >= self.run.seconds - 1e-9
 
     def is_over(self) -> bool:
         """Whether no step is to come, at the end of an episode."""
@@ -178,12 +203,6 @@ class Seat:
         assert self.taught is not None
         return len(self.taught.tally.finished)
 
-    def _time(self) -> float:
-        assert self.taught is not None
-        tally = self.taught.tally
-        steps = sum(episode.length for episode in tally.finished) + tally.present.length
-        return steps * self.kind.seconds
-
     def _learn(self, press: Press) -> None:
         with self.lock:
             taught = self.taught
@@ -191,7 +210,11 @@ class Seat:
                 return
             if press.shown and press.shown < self._first_of_episode:
                 return
-            self._tell(self._advised(press, taught.advise(press, self.kind.credited)))
+            try:
+                self._tell(self._advised(press, taught.advise(press, self.kind.credited)))
+            except UserError as error:
+                text = str(error)
+                self._hall.does(lambda: self.problem(text))
         self.catch_up()
 
     def catch_up(self) -> None:
@@ -206,7 +229,7 @@ class Seat:
             self._state()
         elif why is not None:
             self.rests(why)
-            self._hall.keeps(self)
+            self._hall.keeps(self, 0.0)
         elif self._why != "problem" or self._hall.writes(self):
             self._paused, self._why = False, ""
             self._hall.wakes(self.kind)

@@ -61,8 +61,13 @@ def computing_environment() -> dict[str, str]:
 
 def xla_options(jaxlib: str | None = None) -> tuple[str, ...]:
     """The options for this version of jaxlib, such as 0.10.2; for the installed one by default."""
-    version = importlib.metadata.version("jaxlib") if jaxlib is None else jaxlib
+    version = _jaxlib() if jaxlib is None else jaxlib
     return XLA_OPTIONS.get(".".join(version.split(".")[:2]), ())
+
+
+@functools.cache
+def _jaxlib() -> str:
+    return importlib.metadata.version("jaxlib")
 
 
 def worker_environment() -> dict[str, str]:

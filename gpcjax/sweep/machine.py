@@ -7,6 +7,7 @@ Loads no jax.
 """
 
 import ctypes
+import functools
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -85,6 +86,7 @@ def _cpuinfo() -> dict[str, str]:
     return {name.strip(): value.strip() for name, _, value in entries}
 
 
+@functools.cache
 def _lapack() -> str:
     """Version and kernels of scipy's OpenBLAS; where scipy brings none, its own version alone."""
     version = f"scipy {importlib.metadata.version('scipy')}"

@@ -13,8 +13,14 @@ _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
 
 def versions() -> dict[str, str]:
     """Of what rows are computed with."""
-    libraries = {name: importlib.metadata.version(name) for name in _LIBRARIES}
+    libraries = {name: version(name) for name in _LIBRARIES}
     return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
+
+
+@functools.cache
+def version(library: str) -> str:
+    """Of an installed library. What is installed is read once: that takes milliseconds for each."""
+    return importlib.metadata.version(library)
 
 
 @functools.cache

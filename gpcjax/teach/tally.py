@@ -54,8 +54,9 @@ class Tally:
         """Counts one event of a session, and what its method gave."""
         match event:
             case {"event": "propose"}:
-                self.present.obs.append(session.obs.tolist())
-                self.present.actions.append(session.action.tolist())
+                obs, action = session.latest
+                self.present.obs.append(obs)
+                self.present.actions.append(action)
                 self.present.clipped += bool((np.abs(session.proposed) > 1.0).any())
             case {"event": "advise", "advice": advice}:
                 self._learned(session, outcome, np.asarray(advice))

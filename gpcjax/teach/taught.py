@@ -4,10 +4,11 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from gpcjax.engine.classroom import Classroom
 from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
@@ -30,6 +31,20 @@ UNDOS = 20
 """How many of the latest corrections can be taken back: each keeps a state, of 16 MiB for an action dimension."""
 
 Say = Callable[[str], None]
+
+
+class Places(Protocol):
+    """Where there are others."""
+
+    @property
+    def classroom(self) -> Classroom:
+        """For the learner."""
+        ...
+
+    @property
+    def worlds(self) -> Worlds:
+        """For the task."""
+        ...
 
 
 class Advised(NamedTuple):
@@ -69,7 +84,9 @@ class Taught:
         return taught
 
     @classmethod
-    def resume(cls, folder: Path, say: Say, *, whole: bool = False, goes_on: bool = True) -> "Taught":
+    def resume(
+        cls, folder: Path, say: Say, *, whole: bool = False, places: "Places | None" = None
+    ) -> "Taught":
         """What was taught in a folder before, made again from its recording.
 
         Args:
@@ -77,7 +94,7 @@ class Taught:
             say: takes a line for the person, now and then.
             whole: check every step of the task, too, and write nothing; otherwise the steps of the last episode are
                 made again, and it goes on from there.
-            goes_on: if the last episode has ended, begin the next one.
+            places: among others, where what was recorded in a classroom goes on. There no episode is begun.
 
         Raises:
             UserError: it is damaged, or the same events lead elsewhere here; the message names the step.
@@ -86,7 +103,13 @@ class Taught:
         record, tally = folder / RECORD, Tally()
         first, events = Recording.read(record)
         rooms = first["settings"].get(ROOMS)
-        world = _world(course, pictures=not whole) if rooms is None else _place(course)
+        classroom = None
+        if rooms is None:
+            world = _world(course, pictures=not whole)
+        elif places is None:
+            world = Worlds(make_env(course.env), 1).enter(course.seed)
+        else:
+            world, classroom = places.worlds.enter(course.seed), places.classroom
         last = max((event["episode"] for event in events), default=0)
         ended = any(event["event"] == "end" for event in events[-1:])
         progress = _Progress(say, len(events))
@@ -102,14 +125,19 @@ class Taught:
         start = folder / START if (folder / START).exists() else None
         learner, state = beginning(course, start, rooms[0][0] if rooms else None)
         taught = cls(folder, course, Session(learner, state, **settings_of(course)), world, tally)
-        again = {"go_on": not whole, "check_from": 0 if whole else last}
-        taught.session = Session.replay(record, learner, state, told=told, **again)
+        again = {"go_on": not whole, "check_from": 0 if whole else last, "classroom": classroom}
+        try:
+            taught.session = Session.replay(record, learner, state, told=told, **again)
+        except BaseException:
+            if places is not None:
+                places.worlds.leave(world)
+            raise
         if whole:
             return taught
         if not tally.present.obs:
             if events and not ended:  # it was killed after the episode's last line but one
                 taught.session.end_episode()
-            if goes_on:
+            if places is None:
                 taught.begin_episode()
         return taught
 
@@ -174,12 +202,11 @@ class Taught:
         advice = np.zeros(size)
         advice[press.dim] = press.h
         about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
-        before = self.session.act(about)[press.dim]
         self.session.note(press=list(press))
-        info = self.session.advise(advice)
-        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, info)
-        after = self.session.act(about)[press.dim]
-        return Advised(info, self.session.step, np.asarray(about), float(before), float(after))
+        done = self.session.advise_about(advice, about)
+        self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, done.info)
+        before, after = (float(action[press.dim]) for action in (done.before, done.after))
+        return Advised(done.info, self.session.step, np.asarray(about), before, after)
 
     def undo(self) -> bool:
         """Takes the latest advice back; False if there is none."""
@@ -303,10 +330,6 @@ def settings_of(course: Course) -> dict[str, Any]:
 
 def _world(course: Course, pictures: bool) -> World:
     return World(make_env(course.env), course.seed, pictures)
-
-
-def _place(course: Course) -> World | Place:
-    return Worlds(make_env(course.env), 1).enter(course.seed)
 
 
 def _replaced(path: Path, write: Callable[[Path], Any]) -> None:

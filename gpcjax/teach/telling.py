@@ -134,13 +134,14 @@ def frame_of(
     number: int, session: Session, present: Episode, episode: int, mode: str, late: float
 ) -> dict[str, Any]:
     """Of the present step of a session."""
+    obs, action = session.latest
     return {
         "type": "frame",
         "n": number,
         "episode": episode,
         "step": present.length,
-        "obs": session.obs.tolist(),
-        "action": session.action.tolist(),
+        "obs": obs,
+        "action": action,
         "total": present.total,
         "sigma": None,
         "prior": None,

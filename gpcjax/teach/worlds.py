@@ -16,7 +16,6 @@ from jaxtyping import Float
 from gpcjax.engine import streams
 from gpcjax.engine.bench import Ahead
 from gpcjax.engine.classroom import lanes_for
-from gpcjax.engine.lanewise import put, take
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
@@ -46,15 +45,13 @@ class Worlds:
             ]
             self._width = lanes
             self._begin, self._step = Ahead(self._begun), Ahead(self._stepped)
-            self._take, self._put = Ahead(lambda leaves, lane: take(leaves, lane, -1)), Ahead(self._placed)
 
     def compile(self) -> None:
         """All that a simulation needs."""
         if isinstance(self.env, Env):
-            lane, number = np.int32(0), np.array(0)
-            self._begin.compile(self._state, lane, number, number)
+            numbers = np.zeros(self._width, np.int64)
+            self._begin.compile(self._state, numbers, numbers, np.zeros(self._width, bool))
             self._step.compile(self._state, *self._actions([], []))
-            self._put.compile(self._state, lane, self._take(self._state, lane))
 
     def enter(self, seed: int) -> "World | Place":
         """A simulation with the starts of this seed; `begin` comes first."""
@@ -63,64 +60,61 @@ class Worlds:
         with self._lock:
             return Place(self, self._free.pop(), seed)
 
-    def admit(self, other: "World | Place") -> "World | Place":
-        """A simulation of this task from elsewhere, as it is."""
-        if isinstance(other, World):
-            return other
-        mine = self.enter(other.seed)
-        assert isinstance(mine, Place)
-        with self._lock:
-            self._state = self._put(self._state, np.int32(mine.lane), other.worlds.taken(other.lane))
-        return mine
-
     def leave(self, place: "World | Place") -> None:
         """It is not needed any more."""
         if isinstance(place, Place):
             with self._lock:
                 self._free.add(place.lane)
 
-    def taken(self, lane: int) -> list[Any]:
-        """The state of the one at a lane."""
-        return self._take(self._state, np.int32(lane))
-
-    def begin(self, lane: int, seed: int, episode: int) -> Float[np.ndarray, " obs"]:
-        """As `World.begin` of the one at a lane."""
+    def begin(
+        self, lanes: Sequence[int], seeds: Sequence[int], episodes: Sequence[int]
+    ) -> list[Float[np.ndarray, " obs"]]:
+        """As `World.begin` of those at these lanes."""
+        given = np.zeros((2, self._width), np.int64)
+        mask = np.zeros(self._width, bool)
+        given[:, list(lanes)], mask[list(lanes)] = [seeds, episodes], True
         with self._lock:
-            self._state, obs = self._begin(self._state, np.int32(lane), np.array(seed), np.array(episode))
-        return np.array(obs)
+            self._state, obs = self._begin(self._state, *given, mask)
+        return list(np.asarray(obs).T[list(lanes)])
 
-    def step(self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]) -> list[Moved]:
+    def step(self, lanes: Sequence[int], actions: Sequence[Any]) -> list[Moved]:
         """As `World.step` of those at these lanes."""
         given = self._actions(lanes, actions)
         with self._lock:
-            self._state, *seen = self._step(self._state, *given)
-        obs, reward, over = map(np.asarray, seen)
-        return [Moved(obs[:, lane].copy(), float(reward[lane]), bool(over[lane])) for lane in lanes]
+            self._state, seen = self._step(self._state, *given)
+        *obs, reward, over = np.asarray(seen)
+        each = np.array(obs).T[list(lanes)]
+        return [
+            Moved(obs, reward, over > 0)
+            for obs, reward, over in zip(
+                each, reward[list(lanes)].tolist(), over[list(lanes)].tolist(), strict=True
+            )
+        ]
 
     def _actions(
-        self, lanes: Sequence[int], actions: Sequence[Float[np.ndarray, " action"]]
+        self, lanes: Sequence[int], actions: Sequence[Any]
     ) -> tuple[np.ndarray, np.ndarray]:
         given, mask = np.zeros((self.env.action_size, self._width)), np.zeros(self._width, bool)
-        for lane, action in zip(lanes, actions, strict=True):
-            given[:, lane], mask[lane] = action, True
+        if lanes:
+            given[:, list(lanes)], mask[list(lanes)] = np.array(actions, float).T, True
         return given, mask
 
     # --- traced
 
-    def _begun(self, leaves: list, lane: Any, seed: Any, episode: Any) -> tuple[list, Any]:
-        assert isinstance(self.env, Env)
-        one = started(self.env, streams.start_key(seed, episode))
-        return put(leaves, lane, jax.tree.leaves(one), -1), one.obs
+    def _begun(self, leaves: list, seeds: Any, episodes: Any, mask: Any) -> tuple[list, Any]:
+        env, before = self.env, self._form.unflatten(leaves)
+        start = lambda seed, episode: started(env, streams.start_key(seed, episode))  # noqa: E731  # pyright: ignore
+        after = jax.vmap(start, out_axes=-1)(seeds, episodes)
+        kept = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, before)
+        return jax.tree.leaves(kept), after.obs
 
     def _stepped(self, leaves: list, actions: Any, mask: Any) -> tuple[Any, ...]:
         env, before = self.env, self._form.unflatten(leaves)
         step = lambda state, action: stepped(env, state, action)  # noqa: E731  # pyright: ignore
         after = jax.vmap(step, in_axes=-1, out_axes=-1)(before, actions)
         kept = jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, before)
-        return jax.tree.leaves(kept), after.obs, after.reward, after.done
-
-    def _placed(self, leaves: list, lane: Any, one: list) -> list:
-        return put(leaves, lane, one, -1)
+        seen = jnp.concatenate([after.obs, after.reward[None], after.done[None].astype(after.obs.dtype)])
+        return jax.tree.leaves(kept), seen
 
 
 class Place:
@@ -136,7 +130,8 @@ class Place:
 
     def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
         """The first observation of this episode, from 0."""
-        return self.worlds.begin(self.lane, self.seed, episode)
+        (obs,) = self.worlds.begin([self.lane], [self.seed], [episode])
+        return obs
 
     def step(self, action: Float[np.ndarray, " action"]) -> Moved:
         """What comes of an action in [-1, 1]."""
@@ -148,7 +143,7 @@ class Place:
 
 
 def step_together(
-    worlds: Worlds, places: Sequence[World | Place], actions: Sequence[Float[np.ndarray, " action"]]
+    worlds: Worlds, places: Sequence[World | Place], actions: Sequence[Sequence[float]]
 ) -> list[Moved | UserError]:
     """The step of each of these simulations of one block; what one of them raised in its place."""
     if isinstance(worlds.env, Env):
@@ -157,7 +152,23 @@ def step_together(
     found: list[Moved | UserError] = []
     for place, action in zip(places, actions, strict=True):
         try:
-            found.append(place.step(action))
+            found.append(place.step(np.array(action)))
+        except UserError as error:
+            found.append(error)
+    return found
+
+
+def begin_together(
+    worlds: Worlds, places: Sequence[World | Place], episodes: Sequence[int]
+) -> list[Float[np.ndarray, " obs"] | UserError]:
+    """The first observations of these episodes; what one of them raised in its place."""
+    if isinstance(worlds.env, Env):
+        here = [place for place in places if isinstance(place, Place)]
+        return [*worlds.begin([place.lane for place in here], [place.seed for place in here], episodes)]
+    found: list[Float[np.ndarray, " obs"] | UserError] = []
+    for place, episode in zip(places, episodes, strict=True):
+        try:
+            found.append(place.begin(episode))
         except UserError as error:
             found.append(error)
     return found

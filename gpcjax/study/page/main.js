@@ -7,7 +7,6 @@ import * as sheets from "./sheets.js";
 import { Teaching } from "./teaching.js";
 
 const KEPT = "gpcjax-study-code";
-const BANNER = 4000;
 
 /** What the server said when this page came. @type {any} */
 let hello = null;
@@ -21,6 +20,8 @@ let taking = false;
 
 const connection = new Connection({ message, picture: (_, image) => teaching.stage.scene?.picture?.(image), status }, "/part");
 const send = (type, content) => connection.send(type, content);
+/** What leads to another step: its buttons are asked once. */
+const move = (type, content) => send(type, content) && sheets.wait(true);
 const measuring = new Measuring(connection);
 const teaching = new Teaching(send);
 
@@ -37,13 +38,10 @@ function join(wanted, take = false) {
   send("join", { code, take });
 }
 
-/** @param {string} text @param {string} [kind] stays until it is empty where there is none */
-function banner(text, kind = "") {
+/** @param {string} text what is the matter; empty where nothing is */
+function banner(text) {
   byId("banner").hidden = text === "";
-  byId("banner").dataset.kind = kind;
   say(byId("banner"), text);
-  clearTimeout(banner.timer);
-  if (text && kind) banner.timer = setTimeout(() => banner(""), BANNER);
 }
 
 /** @param {boolean} working a run is shown, no sheet */
@@ -65,20 +63,20 @@ function show(now) {
   byId("progress-fill").style.transform = `scaleX(${((now.index + 1) / now.count).toFixed(3)})`;
   byId("progress-bar").setAttribute("aria-valuenow", String(now.index + 1));
   byId("progress-bar").setAttribute("aria-valuemax", String(now.count));
-  banner(passed ? "You have passed the trial." : "", "good");
+  banner("");
   layout(now.kind === "run" || now.kind === "trial");
   switch (now.kind) {
     case "consent":
-      return sheets.consent(now, (on) => send("agree", { on }));
+      return sheets.consent(now, (on) => move("agree", { on }));
     case "check":
       return sheets.check(now, () => measuring.all(), (measured) => send("measured", measured));
     case "instructions":
-      return sheets.instructions(now, () => send("go_on"));
+      return sheets.instructions(now, () => move("go_on"));
     case "questions":
-      return sheets.questions(now, (values) => send("answers", { values }));
+      return sheets.questions(now, (values) => move("answers", { values }));
     case "run":
     case "trial":
-      return teaching.show(now);
+      return teaching.show(now, passed);
   }
 }
 
@@ -138,6 +136,7 @@ function message(content) {
     case "ended":
       return end(content);
     case "problem":
+      sheets.wait(false);
       return banner(content.text);
     case "pong":
       return measuring.pong(content.at);

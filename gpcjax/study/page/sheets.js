@@ -23,6 +23,11 @@ function put(...nodes) {
   scrollTo(0, 0);
 }
 
+/** Its buttons rest until the server has answered, or something was wrong. @param {boolean} on */
+export function wait(on) {
+  for (const each of byId("sheet").querySelectorAll("button")) each.disabled = on;
+}
+
 /** @param {string} title @param {string} text */
 export const note = (title, text) => put(element("h2", {}, title), ...paragraphs(text));
 

@@ -2,7 +2,7 @@
 
 import { followTheme, Painter } from "/page/canvas.js";
 import { arrows, GLYPHS, hintOf, LETTERS, pairs, words } from "/page/controls.js";
-import { byId, capital, element, fixed, say, short } from "/page/format.js";
+import { byId, capital, counted, element, fixed, say, short } from "/page/format.js";
 import { listenToGamepads } from "/page/gamepad.js";
 import { keepFocusOnClick, listenToKeys } from "/page/keys.js";
 import { Lesson } from "/page/lesson.js";
@@ -54,8 +54,9 @@ export class Teaching {
     byId("rest").addEventListener("click", () => this.toggle());
   }
 
-  /** @param {any} step */
-  show(step) {
+  /** @param {any} step @param {boolean} passed the trial was the step before */
+  show(step, passed) {
+    this.passed = passed;
     const same = this.step?.name === step.name && this.step?.attempt === step.attempt;
     this.step = step;
     if (!same) {
@@ -181,7 +182,7 @@ export class Teaching {
     if (!this.step) return;
     const card = this.card();
     byId("card").hidden = card === null;
-    byId("rest").hidden = !this.running;
+    byId("rest").style.visibility = this.running ? "" : "hidden"; // its place stays, and the scene its size
     document.documentElement.dataset.phase = this.running ? "teaching" : "paused";
     if (!card) return;
     say(byId("card-title"), card.title);
@@ -205,6 +206,7 @@ export class Teaching {
     if (this.waiting) return { title: "Please wait", text: this.waiting, busy: true };
     if (!lesson.task) return { title: "Preparing", text: "A moment.", busy: true };
     if (!lesson.state.paused) return null;
+    if (lesson.state.why === "over") return { title: "This run is over", text: "It is being saved. A moment.", busy: true };
     if (lesson.state.why !== "start") {
       const [title, text] = PAUSED[lesson.state.why] ?? PAUSED.you;
       return { title, text, button: lesson.state.why === "problem" ? "Try again" : "Go on" };
@@ -226,9 +228,9 @@ export class Teaching {
   what() {
     const { step } = this;
     if (step.kind === "trial") {
-      const goal = step.passes === "keys" ? `Press each key ${step.presses} times while it runs.` : `Teach it until an episode returns ${short(step.total)} or more.`;
+      const goal = step.passes === "keys" ? `Press each key ${step.presses === 1 ? "once" : `${step.presses} times`} while it runs.` : `Teach it until an episode returns ${short(step.total)} or more.`;
       return `${hintOf(this.lesson.task)} ${goal}`;
     }
-    return `${hintOf(this.lesson.task)} ${step.episodes} episodes, ${Math.round(step.seconds / 6) / 10} minutes at most. It begins with nothing.`;
+    return `${this.passed ? "You have passed the trial. " : ""}${hintOf(this.lesson.task)} ${counted(step.episodes, "episode")}, ${counted(Math.round(step.seconds / 6) / 10, "minute")} at most. It begins with nothing.`;
   }
 }
