@@ -122,6 +122,8 @@ def _hold(spec: Path | None, out: Path | None, host: str, own: dict) -> int:
             stopped = stop
         finally:
             hall.close()
+        if all(each.step is None for each in register) and not register.free:
+            _report(out)
     print(f"kept in {out}: gpcjax study --out {out} goes on with it")
     if stopped is not None and getattr(stopped, "status", ENDED) != ENDED:
         raise stopped

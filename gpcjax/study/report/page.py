@@ -120,7 +120,7 @@ def _warnings(held: Held, numbers: Numbers) -> Iterator[str]:
 
 
 def _results(numbers: Numbers, name_of: Mapping[Treatment, str]) -> Iterator[Block]:
-    columns = ("task", "learner", "participants", "runs", "area", "final return", "corrections a run")
+    columns = ("task", "learner", "people", "runs", "area", "final return", "corrections")
     rows, breaks = [], set()
     for task in dict.fromkeys(each.task for each in numbers.taught):
         own = numbers.of(task)
@@ -141,7 +141,7 @@ def _results(numbers: Numbers, name_of: Mapping[Treatment, str]) -> Iterator[Blo
         yield Sheet("", columns, tuple(rows), frozenset(breaks), _WORDS)
         yield Paragraph(
             "Means over participants with 95% intervals. Area: mean return of an episode; final return: mean of the "
-            f"last {FINAL_EPISODES} episodes, or of fewer where a run has fewer."
+            f"last {FINAL_EPISODES} episodes, or of fewer where a run has fewer; corrections: in a run."
         )
 
 
@@ -157,8 +157,8 @@ def _differences(
         "statistic",
         "difference",
         "p (Holm)",
-        "P(first higher)",
-        "participants",
+        "P(higher)",
+        "people",
     )
     rows = []
     for each in made:
@@ -186,8 +186,8 @@ def _differences(
     )
     yield Paragraph(
         "First minus second, mean over the participants who have both, each with the mean of his or her runs, with its "
-        f"95% interval. * beyond zero by its interval; ** also after Holm's correction for {len(made)} differences."
-        + between
+        "95% interval; P(higher): chance that the first has more for a participant. * beyond zero by its interval; "
+        f"** also after Holm's correction for {len(made)} differences." + between
     )
 
 
@@ -205,7 +205,7 @@ def _answers(asked: Asked, name_of: Mapping[Treatment, str]) -> Iterator[Block]:
         )
         yield Sheet(
             f"{question.text}{ends}",
-            ("task", "learner", "participants", "mean", *points),
+            ("task", "learner", "people", "mean", *points),
             tuple(
                 (
                     *_about(each.about, name_of),
@@ -223,7 +223,7 @@ def _answers(asked: Asked, name_of: Mapping[Treatment, str]) -> Iterator[Block]:
         about = f" ({task}, {learner})" if task else ""
         yield Sheet(
             f"{each.question.text}{about}",
-            ("answer", "participants"),
+            ("answer", "people"),
             tuple((option, str(count)) for option, count in each.counts.items()),
             kinds={"answer": "word"},
         )
@@ -257,7 +257,7 @@ def _order(numbers: Numbers) -> Iterator[Block]:
                 str(each.pairs),
             )
         )
-    columns = ("task", "order", *map(_ordinal, range(1, places + 1)), "last - first", "participants")
+    columns = ("task", "order", *map(_ordinal, range(1, places + 1)), "last - first", "people")
     yield Heading("Effects of the order")
     yield Sheet("", columns, tuple(rows), kinds=_WORDS)
     yield Paragraph(
@@ -315,7 +315,7 @@ def _events(held: Held) -> Iterator[Block]:
         each = [held.counted(one.kept.number, event) - (event == "here") for one in held.people]
         some = [count for count in each if count > 0]
         rows.append((name, str(sum(some)), str(len(some)), str(max(some, default=0))))
-    yield Sheet("what happened", ("event", "times", "participants", "most of one"), tuple(rows), kinds=_WORDS)
+    yield Sheet("what happened", ("event", "times", "people", "most of one"), tuple(rows), kinds=_WORDS)
     problems = [
         (str(one.kept.number), str(event.get("step") or ""), str(event.get("text", "")))
         for one in held.people
