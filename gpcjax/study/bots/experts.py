@@ -6,10 +6,12 @@ them. A task without one here has its own first expert, which may load jax.
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from gpcjax.errors import UserError
+from gpcjax.policies.policy import Policy
 from gpcjax.registry import find
 from gpcjax.study.bots.behaviour import Expert
 
@@ -29,8 +31,12 @@ def expert_of(task: str) -> Expert:
         raise UserError(f"{task}: no expert is known, so that nobody can be scripted who teaches it")
     from gpcjax.envs.registry import make_expert
 
-    made = make_expert(task, next(iter(experts)))
-    return lambda obs: np.asarray(made(np.asarray(obs, np.float64))).tolist()
+    made: Any = make_expert(task, next(iter(experts)))
+    if isinstance(made, Policy):
+        return lambda obs: np.asarray(made(np.asarray(obs, np.float64))).tolist()
+    import jax.numpy as jnp  # an expert of its own kind
+
+    return lambda obs: np.asarray(made(jnp.asarray(obs, jnp.float64))).tolist()
 
 
 def energy_swing_up(obs: Obs) -> list[float]:

@@ -28,6 +28,9 @@ SECONDS = 20.0
 AGAIN = (0.5, 5.0)
 """Seconds until it tries to come back: the first time, and at most."""
 
+TRIES = 5
+"""How often it says something again that could not be kept."""
+
 REFERENCES = re.compile(r'(?:src|href)="(/[^"]*)"')
 
 
@@ -104,6 +107,7 @@ class Visitor:
         self._state = {"paused": True, "why": "start"}
         self._held = False
         self._heard = 0.0
+        self._tries = 0
         self._task: dict[str, Any] | None = None
         self._time = self._since = 0.0
         self._frame = 0
@@ -184,6 +188,8 @@ class Visitor:
                 self._see(socket, message)
             case "advised":
                 self.outcome.learned += 1
+            case "problem":
+                self._try_again(socket, message["text"])
 
     async def _say(self, socket: ClientConnection, type_: str, **content: Any) -> None:
         with contextlib.suppress(ConnectionClosed):
@@ -197,7 +203,7 @@ class Visitor:
         if not again:
             self._time, self._teacher = 0.0, None
             self._state = {"paused": True, "why": "start"}
-            self._task = None
+            self._task, self._tries = None, 0
             self.outcome.runs += step["kind"] == "run"
         reply = self._reply(step)
         if reply is not None:
@@ -215,6 +221,17 @@ class Visitor:
             case "questions":
                 return "answers", {"values": {each["name"]: self._answer(each) for each in step["questions"]}}
         return None
+
+    def _try_again(self, socket: ClientConnection, text: str) -> None:
+        """Says the same once more, as a person would, to a step that could not be kept; not for ever."""
+        reply = self._reply(self._step)
+        if reply is None:
+            return
+        self._tries += 1
+        if self._tries > TRIES:
+            self.outcome.ended, self.outcome.text = "lost", text
+        else:
+            self._think(self._say(socket, reply[0], **reply[1]))
 
     def _answer(self, question: Mapping[str, Any]) -> int | str | None:
         random = Random(f"{self._seed}/{self._step['name']}/{question['name']}")
