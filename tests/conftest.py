@@ -99,6 +99,7 @@ COMPILED_PLAINLY = (
     "learners/test_saved.py",
     "policies/",
     "reproduce/test_illustrations.py",
+    "study/",
     "sweep/test_executables.py",
     "sweep/test_lander.py",
     "sweep/test_ppo.py",

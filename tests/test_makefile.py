@@ -76,6 +76,7 @@ def test_every_variable_becomes_its_flag(folder):
 def test_other_targets(folder):
     assert make(folder, "report", "OUT=runs/my run").returncode == 0
     assert make(folder, "compare", "ARGS=runs/a 'runs/b c' --by algo", "OUT=c").returncode == 0
+    assert make(folder, "study", "SPEC=sweeps/study_thesis.toml", "OUT=runs/s", "ARGS=--places 8").returncode == 0
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0
@@ -85,6 +86,7 @@ def test_other_targets(folder):
     assert called(folder) == [
         ["-m", "gpcjax", "report", "--", "runs/my run"],
         ["-m", "gpcjax", "compare", "--out=c", "runs/a", "runs/b c", "--by", "algo"],
+        ["-m", "gpcjax", "study", "sweeps/study_thesis.toml", "--out=runs/s", "--places", "8"],
         ["-m", "gpcjax", "oracles"],
         ["-m", "gpcjax", "oracles", "--env=pendulum"],
         ["-m", "pytest", "-n", "2", "-k", "two words"],

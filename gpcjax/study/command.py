@@ -3,6 +3,7 @@
 import argparse
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from gpcjax.allowed import Anything, Numbers, shown
@@ -108,8 +109,10 @@ def _hold(spec: Path | None, out: Path | None, host: str, own: dict) -> int:
         places = own.get("places", USUAL_PLACES)
         compute_here()
         sys.setswitchinterval(SWITCH_SECONDS)
-        hall = Hall(what.every_course(), places, _say)
+        told: list[Callable[[str], None]] = [_say]
+        hall = Hall(what.every_course(), places, lambda text: told[-1](text))
         serving = Serving(register, hall, places, host, own.get("port"), own.get("address"))
+        told.append(serving.reception.fault)
         print(f"compiling for {places} places: a minute or more", flush=True)
         hall.start()
         stopped: KeyboardInterrupt | None = None

@@ -115,6 +115,12 @@ class Hall:
         self._door.ask(f"{id(seat)}", lambda: self._prepare(seat))
         return seat
 
+    @property
+    def free(self) -> int:
+        """Places that nobody has."""
+        with self._taking:
+            return self._places - len(self._seats)
+
     # --- for seats
 
     def does(self, what: Callable[[], None]) -> None:

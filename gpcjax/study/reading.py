@@ -190,15 +190,17 @@ def _runs(table: Table, tasks: tuple[str, ...]) -> Runs:
 def _episodes(table: Table, tasks: tuple[str, ...]) -> dict[str, int]:
     """Of each task: from one number, or from a table with one for each; without it the task's own."""
     source, value = table.source("episodes"), table.raw("episodes", None)
-    usual = {task: find("task", task).episodes for task in tasks}
-    if value is None:
-        return usual
-    if not isinstance(value, dict):
+    if value is not None and not isinstance(value, dict):
         return dict.fromkeys(tasks, checked(source, value, int, EPISODES))
-    for name in value:
+    for name in value or ():
         if name not in tasks:
             raise UserError(f"{source} {shown(name)} is no task of this study: give {', '.join(tasks)}")
-    return usual | {name: checked(f"{source} {name}", each, int, EPISODES) for name, each in value.items()}
+    given = {name: checked(f"{source} {name}", each, int, EPISODES) for name, each in (value or {}).items()}
+    for task in tasks:
+        usual = find("task", task).episodes
+        if given.setdefault(task, usual) is None:
+            raise UserError(f"{source} {task} is missing: the task has no usual number, give one")
+    return given
 
 
 def _text(table: Table) -> str:

@@ -60,6 +60,18 @@ class Register:
             each.end("expired")
         return late
 
+    def check(self, code: str) -> None:
+        """That a code may come in.
+
+        Raises:
+            Refused: it is none, or is not admitted.
+        """
+        codes = self.study.joining.codes
+        if not is_code(code):
+            raise Refused(f"This is no code: it has {CODE_WORDS}.")
+        if codes is not None and code not in codes:
+            raise Refused("This code is not known here. Please look whether it is typed right.")
+
     def admit(self, code: str) -> Participant:
         """A new participant with this code, with the first free slot.
 
@@ -67,11 +79,7 @@ class Register:
             Refused: the code is none, is not admitted, or all slots are taken.
             OSError: nothing can be written.
         """
-        codes = self.study.joining.codes
-        if not is_code(code):
-            raise Refused(f"This is no code: it has {CODE_WORDS}.")
-        if codes is not None and code not in codes:
-            raise Refused("This code is not known here. Please look whether it is typed right.")
+        self.check(code)
         self.expire()
         slot = free_slot(
             len(self.study.slots), (each.kept.slot for each in self._by_code.values() if each.has_slot)

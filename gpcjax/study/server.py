@@ -24,9 +24,9 @@ from starlette.websockets import WebSocket
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.study.aside import POLICY, drawn
-from gpcjax.study.desk import Desk
 from gpcjax.study.download import zipped
 from gpcjax.study.protocol import LONGEST
+from gpcjax.study.reception import Reception
 from gpcjax.study.register import TOKEN, Register
 from gpcjax.teach.door import Door
 from gpcjax.teach.server import KINDS, bound, configuration, files, is_local, names_of
@@ -42,9 +42,11 @@ FIRST_PORT, PORTS = 8765, 20
 """Without a port, the first of these that is free."""
 
 
-def application(desk: Desk, names: frozenset[str] | None, encrypted: frozenset[str], token: str) -> Any:
+def application(
+    reception: Reception, names: frozenset[str] | None, encrypted: frozenset[str], token: str
+) -> Any:
     """The pages, their files and websockets, behind a door."""
-    out = desk.register.out
+    out = reception.register.out
 
     async def experimenter(_: Request) -> Response:
         return FileResponse(PAGE / "experimenter.html", media_type=KINDS[".html"])
@@ -70,11 +72,11 @@ def application(desk: Desk, names: frozenset[str] | None, encrypted: frozenset[s
 
     async def part(websocket: WebSocket) -> None:
         await websocket.accept()
-        await desk.visit(websocket)
+        await reception.visit(websocket)
 
     async def live(websocket: WebSocket) -> None:
         await websocket.accept()
-        await desk.look(websocket)
+        await reception.look(websocket)
 
     own = files(PAGE)
     routes = [
@@ -162,8 +164,8 @@ class Serving:
         self.token = token_of(register.out)
         self.experimenter = f"{self.address.rstrip('/')}{EXPERIMENTER}?token={self.token}"
         names = None if address is None and not is_local(host) else names_of(name, number) | public
-        self.desk = Desk(register, hall, places)
-        app = application(self.desk, names, public, self.token)
+        self.reception = Reception(register, hall, places)
+        app = application(self.reception, names, public, self.token)
         self.server = uvicorn.Server(configuration(app, LONGEST))
 
     def run(self) -> None:
@@ -177,4 +179,4 @@ class Serving:
         try:
             await self.server.serve(sockets=[self.socket])
         finally:
-            await self.desk.close()
+            await self.reception.close()

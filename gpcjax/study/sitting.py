@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from gpcjax.errors import UserError
 from gpcjax.study.blind import PROBLEM, blinded
+from gpcjax.study.needed import Needed
 from gpcjax.study.participant import Participant
 from gpcjax.study.showing import present, wrong
 from gpcjax.study.steps import Step
@@ -31,7 +32,7 @@ WAITING = "All places are taken at the moment. Please wait: you go on as soon as
 Say = Callable[[dict[str, Any] | bytes], None]
 
 
-class Desk(Protocol):
+class Reception(Protocol):
     """What a sitting needs of the server."""
 
     hall: "Hall"
@@ -52,11 +53,11 @@ class Sitting:
 
     Args:
         participant: who.
-        desk: of the server.
+        reception: of the server.
     """
 
-    def __init__(self, participant: Participant, desk: Desk):
-        self.participant, self._desk = participant, desk
+    def __init__(self, participant: Participant, reception: Reception):
+        self.participant, self._reception = participant, reception
         self.page: Page | None = None
         self.seat: Seat | None = None
         self.held = False
@@ -71,7 +72,7 @@ class Sitting:
         self._asked = self._gone = self._acted = self._rested = 0.0
         self._sits = False
         """Whether the seat is prepared."""
-        self._needed: dict[tuple[int, int], int] = {}
+        self._needed = Needed()
         self._tasks: set[asyncio.Task[None]] = set()
 
     # --- pages
@@ -93,7 +94,7 @@ class Sitting:
         if self.seat is not None:
             self.seat.pause("connection")
         self._log("gone")
-        await self._desk.clerk(self.participant.save)
+        await self._reception.clerk(self.participant.save)
 
     def tell(self, message: dict[str, Any] | bytes) -> None:
         """Says something to the page, if there is one."""
@@ -109,17 +110,16 @@ class Sitting:
             self._release()
         elif self.seat is not None:
             self.seat.everything()
-            self._tell_needed()
         else:
             self._take_seat(step)
 
     def _take_seat(self, step: Step) -> None:
         self._release()
         self._asked = time.monotonic()
-        self.state, self._needed, self._sits = {"paused": True, "why": "start"}, {}, False
+        self.state, self._needed, self._sits = {"paused": True, "why": "start"}, Needed(), False
         try:
-            run = self._desk.run_of(self.participant, step)
-            self.seat = self._desk.hall.seat(run, self._said_by(self._generation))
+            run = self._reception.run_of(self.participant, step)
+            self.seat = self._reception.hall.seat(run, self._said_by(self._generation))
         except UserError as error:
             self._trouble(str(error))
             self.tell({"type": "waiting", "text": WAITING})
@@ -154,7 +154,7 @@ class Sitting:
             case "task":
                 self._sits = True
                 if self._is_trial:
-                    self._count_keys(message["task"]["actions"])
+                    self._ask_for_keys(message["task"])
             case "state":
                 self.state = message
             case "problem":
@@ -176,9 +176,9 @@ class Sitting:
                 return
             self._release()
             if self._is_trial:
-                await self._desk.clerk(self.participant.attempted, False)
+                await self._reception.clerk(self.participant.attempted, False)
             else:
-                await self._desk.clerk(self.participant.advance, "run")
+                await self._reception.clerk(self.participant.advance, "run")
                 self._rested = time.monotonic() + self.participant.study.runs.rest
             await self._show()
 
@@ -194,23 +194,21 @@ class Sitting:
 
     # --- the trial
 
-    def _count_keys(self, actions: list[Any]) -> None:
+    def _ask_for_keys(self, task: dict[str, Any]) -> None:
         trial = self.participant.study.trial
-        if trial is None or trial.passes != "keys" or self._needed:
-            return
-        self._needed = {(dim, h): trial.presses for dim in range(len(actions)) for h in (-1, 1)}
-        self._loop.call_soon(self._tell_needed)  # behind the task that it is about
+        if trial is not None and trial.passes == "keys":
+            self._needed.begin(task, trial.presses)
+            self._loop.call_soon(self._tell_needed)  # behind the task that it is about
 
     def _tell_needed(self) -> None:
-        if self._needed:
-            left = [{"dim": dim, "h": h, "left": left} for (dim, h), left in self._needed.items()]
-            self.tell({"type": "needed", "keys": left})
+        if (message := self._needed.message()) is not None:
+            self.tell(message)
 
     async def _pass(self) -> None:
         async with self._lock:
             if self._is_trial:
                 self._release()
-                await self._desk.clerk(self.participant.attempted, True)
+                await self._reception.clerk(self.participant.attempted, True)
                 await self._show()
 
     # --- what the page says
@@ -239,19 +237,19 @@ class Sitting:
                 case "agree", "consent":
                     agreed = command.values["on"]
                     await (
-                        self._desk.clerk(one.advance, "consent")
+                        self._reception.clerk(one.advance, "consent")
                         if agreed
-                        else self._desk.clerk(one.end, "declined", "gave no consent")
+                        else self._reception.clerk(one.end, "declined", "gave no consent")
                     )
                 case "measured", "check":
                     passed = not wrong(one.study.check, command.values)
-                    await self._desk.clerk(one.checked, command.values, passed)
+                    await self._reception.clerk(one.checked, command.values, passed)
                 case "go_on", "instructions":
-                    await self._desk.clerk(one.advance, "instructions")
+                    await self._reception.clerk(one.advance, "instructions")
                 case "answers", "questions":
-                    await self._desk.clerk(one.answered, command.values["values"])
+                    await self._reception.clerk(one.answered, command.values["values"])
                 case "leave", _:
-                    await self._desk.clerk(one.end, "declined")
+                    await self._reception.clerk(one.end, "declined")
                 case _:
                     return
         except UserError as error:
@@ -273,11 +271,9 @@ class Sitting:
             self._loop.call_later(delay, lambda: self.seat is seat and seat.press(press))
         else:
             seat.press(press)
-        key = press.dim, press.h
-        if self._is_trial and not press.held and self._needed.get(key, 0) > 0:
-            self._needed[key] -= 1
+        if self._is_trial and self._needed.counts(press):
             self._tell_needed()
-            if not any(self._needed.values()):
+            if self._needed.passed:
                 self._later(self._pass())
 
     def _pause(self, on: bool) -> None:
@@ -303,7 +299,7 @@ class Sitting:
     @property
     def is_held(self) -> bool:
         """Whether the experimenter has paused this one, or all."""
-        return self.held or self._desk.held
+        return self.held or self._reception.held
 
     @property
     def runs(self) -> bool:
@@ -322,7 +318,7 @@ class Sitting:
         async with self._lock:
             self._release()
             if self.participant.step is not None:
-                await self._desk.clerk(self.participant.end, "stopped")
+                await self._reception.clerk(self.participant.end, "stopped")
             await self._show()
 
     async def close(self) -> None:
@@ -361,10 +357,10 @@ class Sitting:
     def _log(self, event: str, **values: Any) -> None:
         step = self.participant.step
         given = {"step": None if step is None else step.name, **values}
-        self._later(self._desk.clerk(lambda: self.participant.log(event, **given)))
+        self._later(self._reception.clerk(lambda: self.participant.log(event, **given)))
 
     def _later(self, doing: Awaitable[Any]) -> None:
-        """Has something done soon; what it raises is the desk's affair."""
+        """Has something done soon; what it raises is told to the experimenter."""
 
         async def done() -> None:
             try:

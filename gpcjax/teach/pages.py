@@ -99,6 +99,8 @@ async def attended(
     slow = asyncio.create_task(page.slow.wait())
     try:
         await asyncio.wait([sending, listening, slow], return_when=asyncio.FIRST_COMPLETED)
+        if listening.done():
+            listening.result()  # what hearing raised is a fault, and no page's affair
     finally:
         for task in (sending, listening, slow):
             task.cancel()

@@ -274,7 +274,7 @@ class Taught:
         if "ended" not in values or not self.present.obs:
             return
         total = self.present.total
-        if values["length"] > self.present.length:  # its last step led to no other observation
+        if values["length"] == len(self.present.obs):  # the last step was executed, too
             total += self.world.step(np.asarray(self.present.actions[-1])).reward
         if total != values["total"]:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")

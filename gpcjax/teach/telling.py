@@ -11,8 +11,8 @@ from jaxtyping import Float, UInt8
 
 from gpcjax.allowed import Numbers, OneOf
 from gpcjax.describe import LearnerSpec, Setting, TaskSpec
-from gpcjax.envs.registry import make_env
 from gpcjax.engine.session import Session
+from gpcjax.envs.registry import make_env
 from gpcjax.learners.base import Learner, Status
 from gpcjax.registry import find
 from gpcjax.teach.course import seconds_of

@@ -25,26 +25,26 @@ def again(register):
     return Register(register.out, register.study)
 
 
-def whole_way(participant):
-    """Does every step; gives their kinds."""
-    kinds = []
-    while (step := participant.step) is not None:
-        kinds.append(step.kind)
-        match step.kind:
-            case "check":
-                participant.checked({"width": 1000}, True)
-            case "trial":
-                participant.attempted(True)
-            case "questions":
-                participant.answered({each.name: 3 for each in step.questions if each.kind == "scale"})
-            case kind:
-                participant.advance(kind)
-    return kinds
+def step(one):
+    """Does the present step; gives its kind."""
+    kind = one.step.kind
+    match kind:
+        case "check":
+            one.checked({"width": 1000}, True)
+        case "trial":
+            one.attempted(True)
+        case "questions":
+            one.answered({each.name: 3 for each in one.step.questions if each.kind == "scale"})
+        case _:
+            one.advance(kind)
+    return kind
 
 
 def test_all_steps_and_the_end(register):
     one = register.admit("alpha")
-    kinds = whole_way(one)
+    kinds = []
+    while one.step is not None:
+        kinds.append(step(one))
     assert kinds[:4] == ["consent", "check", "instructions", "trial"]
     assert kinds[4:] == ["run", "run", "questions"] * 4 + ["questions"]
     assert one.kept.state == "complete" and all(each["ended"] for each in one.kept.times)
@@ -61,15 +61,7 @@ def test_at_every_step_another_process_finds_the_same(register):
         assert found.kept == one.kept and found.step == one.step and found.seed == one.seed == 7100
         assert found.letters == one.letters
         before = one.kept.step
-        match one.step.kind:
-            case "check":
-                one.checked({}, True)
-            case "trial":
-                one.attempted(True)
-            case "questions":
-                one.answered({each.name: 1 for each in one.step.questions if each.kind == "scale"})
-            case kind:
-                one.advance(kind)
+        step(one)
         assert one.kept.step == before + 1
     assert again(register).get("alpha").kept.state == "complete"
 
@@ -154,6 +146,26 @@ def test_a_deletion_that_was_killed_is_finished(register):
     one = register.admit("a1")
     one.folder.rename(one.folder.with_name(f".deleted-{one.folder.name}"))
     assert list(again(register)) == [] and not any((register.out / PEOPLE).iterdir())
+
+
+def test_what_cannot_be_written_has_not_happened(register, monkeypatch):
+    one = register.admit("a1")
+    while one.kept.step < len(one.steps) - 1:
+        step(one)
+    before = json.loads((one.folder / CARD).read_bytes())
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    for broken in ("write_atomic", "os.fsync"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"gpcjax.study.participant.{broken}", full)
+            with pytest.raises(OSError):
+                step(one)
+        assert one.step.name == "questions-end" and one.kept.state == "active"
+        assert json.loads((one.folder / CARD).read_bytes()) == before
+    step(one)
+    assert one.kept.state == "complete" and len(one.kept.answers) == len(before["answers"]) + 1
 
 
 @pytest.mark.parametrize("code", ["", " a", "a b", "-a", "<b>", "a/b", "..", "x" * 65, "ä", "a\n"])

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from gpcjax.errors import UserError
-from gpcjax.study import desk, sitting
+from gpcjax.study import reception, sitting
 from gpcjax.study.register import Register
 from gpcjax.study.server import PAGE, Serving, host_of, token_of
 from gpcjax.teach.door import HEADERS
@@ -345,6 +345,28 @@ def test_answers_that_are_none_are_told(running):
     page.until("step", kind="run")
 
 
+def test_no_code_before_all_is_on_the_disk(running, monkeypatch):
+    page = running.client()
+    page.to_first_run()
+    one = running.register.get("alpha")
+    one.kept.step = len(one.steps) - 1
+    page.close()
+    page = running.client()
+    page.until("step", name="questions-end")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("gpcjax.study.participant.write_atomic", full)
+        page.says("answers", values={})
+        assert "technical problem" in page.until("problem")["text"]
+        again = running.client(take=True)
+        assert again.until("step")["name"] == "questions-end"
+    again.says("answers", values={})
+    assert again.until("ended")["code"] == "C0FFEE"
+
+
 # --- coming back
 
 
@@ -394,7 +416,7 @@ def test_a_second_page_may_take_over(running):
 def test_a_seat_that_is_left_is_given_to_others(make, monkeypatch):
     monkeypatch.setattr(sitting, "GRACE", 0.2)
     monkeypatch.setattr(sitting, "AGAIN", 0.1)
-    monkeypatch.setattr(desk, "SECOND", 0.05)
+    monkeypatch.setattr(reception, "SECOND", 0.05)
     running = make(places=1)
     one, two = running.client("one"), running.client("two")
     one.to_trial()
@@ -412,7 +434,7 @@ def test_a_seat_that_is_left_is_given_to_others(make, monkeypatch):
 
 
 def test_what_nobody_watches_rests(make, monkeypatch):
-    monkeypatch.setattr(desk, "SECOND", 0.05)
+    monkeypatch.setattr(reception, "SECOND", 0.05)
     running = make("rest = 0", "rest = 0\nidle = 0.3")
     page = running.client()
     page.to_first_run()
@@ -466,7 +488,7 @@ def test_codes_that_are_none_and_a_full_study(make):
 
 def test_one_page_may_not_try_many_codes(running):
     page = running.client("<")
-    for _ in range(desk.MOST_TRIES):
+    for _ in range(reception.MOST_TRIES):
         page.says("join", code="<", take=False)
     assert "too many" in page.closed()["reason"]
 
@@ -527,8 +549,8 @@ def test_every_file_is_served_with_all_headers(running):
         status, headers, content = running.asks(path)
         assert status == 200 and HEADERS.items() <= headers.items() and content
     for path in (
-        "/study/../desk.py",
-        "/study/%2e%2e/desk.py",
+        "/study/../reception.py",
+        "/study/%2e%2e/reception.py",
         "/lesson",
         "/study.toml",
         "/participants/p0001",

@@ -108,6 +108,7 @@ function show() {
   const nodes = people.rows.map(draw);
   const old = [...byId("people").children];
   if (nodes.length !== old.length || nodes.some((node, k) => node !== old[k])) byId("people").replaceChildren(...nodes);
+  byId("faults").replaceChildren(...people.faults.map((text) => element("li", {}, text)));
   byId("nobody").hidden = nodes.length > 0;
 }
 

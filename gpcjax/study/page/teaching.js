@@ -10,6 +10,9 @@ import { Pads } from "/page/pads.js";
 import { Presses } from "/page/presses.js";
 import { Stage } from "/page/stage.js";
 
+/** Of tasks that paint pictures themselves, for which nobody has the time where many teach. */
+const SCENES = { lunarlander: "lander" };
+
 const PAUSED = {
   you: ["Paused", "Take your time. The task waits for you."],
   connection: ["Connected again", "The task waited for you, and nothing is lost."],
@@ -68,6 +71,7 @@ export class Teaching {
       say(byId("said"), "\u00a0");
     }
     this.waiting = "";
+    this.lesson.ready = false;
     this.restUntil = performance.now() + 1000 * (step.rest ?? 0);
     say(byId("work-title"), step.kind === "trial" ? `Trial: ${step.task}` : `Learner ${step.letter}: ${step.task}`);
     this.changed();
@@ -79,12 +83,12 @@ export class Teaching {
   }
 
   get running() {
-    return this.step !== null && this.lesson.task !== null && !this.lesson.state.paused && !this.held;
+    return this.step !== null && this.lesson.ready && !this.lesson.state.paused && !this.held;
   }
 
   toggle() {
-    const { state, task } = this.lesson;
-    if (!task || this.held || performance.now() < this.restUntil) return;
+    const { state, ready } = this.lesson;
+    if (!ready || this.held || performance.now() < this.restUntil) return;
     this.send("pause", { on: !state.paused });
   }
 
@@ -115,7 +119,7 @@ export class Teaching {
       case "task":
         this.waiting = "";
         this.presses.releaseAll();
-        lesson.begin({ ...content, ...content.task });
+        lesson.begin({ ...content, ...content.task, scene: SCENES[content.task.name] ?? content.task.scene });
         lesson.ready = true;
         this.pair = 0;
         this.presses.repeat = content.repeat || 8;
@@ -204,7 +208,7 @@ export class Teaching {
     const { lesson } = this;
     if (this.held) return { title: "Paused by the experimenter", text: "Please wait. Nothing is lost." };
     if (this.waiting) return { title: "Please wait", text: this.waiting, busy: true };
-    if (!lesson.task) return { title: "Preparing", text: "A moment.", busy: true };
+    if (!lesson.task || !lesson.ready) return { title: "Preparing", text: "A moment.", busy: true };
     if (!lesson.state.paused) return null;
     if (lesson.state.why === "over") return { title: "This run is over", text: "It is being saved. A moment.", busy: true };
     if (lesson.state.why !== "start") {

@@ -1,6 +1,7 @@
 // What is drawn of a task: by its own scene where there is one, else pictures, else each number as a signal.
 
 import { cartpole } from "./cartpole.js";
+import { lander } from "./lander.js";
 import { mountaincar } from "./mountaincar.js";
 import { pendulum } from "./pendulum.js";
 import { Pictures } from "./pictures.js";
@@ -20,7 +21,7 @@ import { Signals } from "./signals.js";
  * @property {(image: Blob) => void} [picture]
  */
 
-const DRAWN = { cartpole, mountaincar, pendulum };
+const DRAWN = { cartpole, lander, mountaincar, pendulum };
 
 /** @param {any} task @param {() => void} changed a picture is there @returns {Scene} */
 export function makeScene(task, changed) {

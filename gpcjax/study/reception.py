@@ -1,7 +1,7 @@
-"""The desk of a study: pages come in, participants sit down, the experimenter looks on. In the server's event loop."""
+"""The reception of a study: pages come in, people sit down, the experimenter looks on. In the server's event loop."""
 
 import asyncio
-import contextlib
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -29,13 +29,15 @@ MOST_TRIES = 10
 """Codes that one page may try."""
 MOST_PAGES = 1000
 """At once."""
+MOST_FAULTS = 20
+"""The latest that are shown."""
 SECOND = 1.0
 EXPIRE_EVERY = 60.0
 
 _UNAVAILABLE = "Too many people are coming at the moment. Please try again in a minute."
 
 
-class Desk:
+class Reception:
     """Everybody at a study.
 
     Args:
@@ -51,9 +53,15 @@ class Desk:
         self._lookers: set[Page] = set()
         self._pages = 0
         self._joined: deque[float] = deque()
+        self._faults: deque[str] = deque(maxlen=MOST_FAULTS)
         self._clerk = ThreadPoolExecutor(1, "clerk")
         self._expired = time.monotonic()
         self._ticking: asyncio.Task[None] | None = None
+
+    def fault(self, text: str) -> None:
+        """Shows the experimenter what concerns no single participant, from any thread."""
+        print(text, file=sys.stderr, flush=True)
+        self._faults.append(text)
 
     async def clerk(self, do: Callable[..., Any], *given: Any) -> Any:
         """Does something on the disk, one thing after the other, in a thread of its own."""
@@ -130,6 +138,7 @@ class Desk:
         return sitting
 
     async def _admit(self, code: str) -> Participant:
+        self.register.check(code)  # what is no code takes nobody's turn
         now = time.monotonic()
         while self._joined and now - self._joined[0] > 60.0:
             self._joined.popleft()
@@ -205,6 +214,7 @@ class Desk:
             "slots": len(self.register.study.slots),
             "seats": seats,
             "places": self.places,
+            "faults": list(self._faults),
             "rows": rows,
         }
 
@@ -233,8 +243,10 @@ class Desk:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(SECOND)
-            with contextlib.suppress(OSError):  # each of them tells it where it belongs
+            try:
                 await self._second()
+            except Exception as error:  # the next second comes all the same
+                self.fault(f"{type(error).__name__}: {error}")
 
     async def _second(self) -> None:
         for code, sitting in list(self._sittings.items()):

@@ -1,0 +1,182 @@
+"""A real browser and a real hall: from the link to the code, past a server that is killed, blind all the way."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
+
+GPCJAX = Path(__file__).parents[2]
+TOML = """
+title = "Balancing"
+participants = 2
+tasks = ["cartpole"]
+[[learners]]
+algo = "gpc"
+[runs]
+dummy = 1
+recorded = 1
+episodes = 2
+rest = 0
+[consent]
+text = "You may leave at any time."
+[check]
+width = 300
+frame_rate = 1
+[instructions]
+text = "Press a key."
+[trial]
+task = "cartpole"
+presses = 1
+attempts = 9
+[[questions]]
+name = "easy"
+when = "learner"
+kind = "scale"
+text = "How easy was it?"
+[[questions]]
+name = "remarks"
+kind = "text"
+text = "Anything else?"
+[completed]
+text = "All is saved."
+code = "C0FFEE"
+"""
+
+
+class Server:
+    """`gpcjax study` in a process of its own."""
+
+    def __init__(self, out, spec=None, port=0):
+        self.out = out
+        words = [sys.executable, "-m", "gpcjax", "study", *([str(spec)] if spec else [])]
+        words += ["--out", str(out), "--port", str(port), "--places", "8"]
+        self.process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=GPCJAX, env=os.environ
+        )
+        said = []
+        while not (said and said[-1].startswith("experimenter:")):
+            said.append(self.process.stdout.readline())
+            assert said[-1], f"it ended: {said}"
+        self.address, self.experimenter = (line.split()[1] for line in said[-2:])
+        self.port = int(re.search(r":([0-9]+)/", self.address)[1])
+
+    def end(self):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        said, _ = self.process.communicate(timeout=120)
+        return said
+
+
+@pytest.fixture
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def until(true, seconds=60):
+    end = time.monotonic() + seconds
+    while not (found := true()):
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.05)
+    return found
+
+
+@pytest.mark.parametrize("killed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_from_the_link_to_the_code(browser, tmp_path, killed):
+    spec, out = tmp_path / "study.toml", tmp_path / "out"
+    spec.write_text(TOML)
+    server, said, complaints = Server(out, spec), [], []
+    try:
+        page = browser.new_page(viewport={"width": 375, "height": 740})
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("websocket", lambda socket: socket.on("framereceived", lambda text: said.append(text)))
+        page.goto(f"{server.address}?PROLIFIC_PID=5f3a&STUDY_ID=x")
+        root = page.evaluate_handle("document.documentElement")
+        at = lambda kind: until(lambda: root.evaluate("each => each.dataset.step") == kind)  # noqa: E731
+        narrow = lambda: root.evaluate("each => each.scrollWidth") <= 375  # noqa: E731
+
+        def begins():
+            """Presses what the card offers, until the task runs."""
+            while root.evaluate("each => each.dataset.phase") != "teaching":
+                page.locator("#card-button:visible").click(timeout=60_000)
+                time.sleep(0.2)
+
+        at("consent")
+        page.get_by_text("I agree").click()
+        at("check")
+        assert narrow()
+        page.get_by_text("Begin the check").click()
+        at("instructions")
+        page.get_by_text("Go to a short trial").click()
+        at("trial")
+        begins()
+        while root.evaluate("each => each.dataset.step") == "trial":
+            page.keyboard.press("ArrowLeft")
+            page.keyboard.press("d")
+            time.sleep(0.1)
+        at("run")
+        assert narrow()
+        begins()
+        page.keyboard.press("ArrowRight")
+        until(lambda: "0.00 →" in page.inner_text("#said"))
+
+        if killed:
+            server.process.kill()
+            server.process.communicate()
+            until(lambda: page.locator("#banner:visible").count())
+            server = Server(out, port=server.port)
+        look = browser.new_page()
+        look.goto(server.experimenter)
+        assert "token" not in look.url
+        until(lambda: page.locator("#banner").is_hidden())
+        row = until(lambda: look.locator("tbody tr").first.inner_text())
+        assert "5f3a" in row and "active" in row
+
+        for _ in range(60):  # two runs of two episodes, each paused or begun as often as the page offers it
+            kind = root.evaluate("each => each.dataset.step")
+            if kind != "run":
+                break
+            begins_or_over = page.locator("#card-button:visible")
+            if begins_or_over.count():
+                begins_or_over.click(timeout=5000, no_wait_after=True)
+            page.keyboard.press("ArrowLeft")
+            time.sleep(0.5)
+        at("questions")
+        page.locator("input[value='6']").check(force=True)
+        page.get_by_text("Send and go on").click()
+        until(lambda: page.locator("textarea").count())
+        page.fill("textarea", "<script>alert(1)</script>")
+        page.get_by_text("Send and go on").click()
+        at("ended")
+        assert "C0FFEE" in page.inner_text("main:visible") and narrow()
+        until(lambda: "complete" in look.locator("tbody tr").first.inner_text())
+    finally:
+        server.end()
+    assert complaints == []
+    heard = "".join(text if isinstance(text, str) else "" for text in said).lower()
+    assert "frame" in heard and not any(word in heard for word in ("gpc", "coach", "sigma_human", '"rate'))
+    kept = json.loads((out / "participants/p0001/participant.json").read_bytes())
+    assert [each["value"] for each in kept["answers"]] == [6, "<script>alert(1)</script>"]
+    for name in ("01-dummy-A-cartpole", "02-recorded-A-cartpole")[: 1 + killed]:
+        folder = out / "participants/p0001/runs" / name
+        done = subprocess.run(
+            [sys.executable, "-m", "gpcjax", "replay", str(folder)],
+            capture_output=True,
+            text=True,
+            cwd=GPCJAX,
+        )
+        assert done.returncode == 0 and "the same to the bit" in done.stdout, done.stderr
