@@ -4,7 +4,8 @@
 |----------|-------------------------------------------------------------------------------------------|
 | clock    | the steps of all, and what seats are asked for                                            |
 | learning | corrections, one after the other, and sigma_h                                             |
-| papers   | has recordings on the disk each second, writes policies and rows                          |
+| flushing | has recordings on the disk each second                                                    |
+| papers   | has policies and rows written, by a process of its own                                    |
 | door     | prepares who comes                                                                        |
 
 A run that is being corrected misses no step: it is caught up with as soon as that is over. Others do not wait for it.
@@ -25,6 +26,7 @@ from gpcjax.engine.classroom import kind_of
 from gpcjax.engine.session import credit_of, propose_together
 from gpcjax.errors import UserError
 from gpcjax.gp.threads import one_thread
+from gpcjax.study.clerk import Clerk
 from gpcjax.study.kind import Kind
 from gpcjax.study.seat import Run, Say, Seat, Standing
 from gpcjax.sweep.lock import held
@@ -77,7 +79,9 @@ class Hall:
         gc.collect()
         gc.freeze()  # what was loaded stays: to look through it takes longer than a step
         self._context.callback(gc.unfreeze)
-        self._papers, self._door = Errands(self.fault), Errands(self.fault)
+        self._clerk = Clerk()
+        self._context.callback(self._clerk.close)
+        self._door, self._flushing, self._papers = (Errands(self.fault) for _ in range(3))
         for thread in (self._clock, self._learning):
             thread.start()
 
@@ -91,6 +95,7 @@ class Hall:
         self._lessons.put(None)
         self._learning.join()
         self._papers.close()
+        self._flushing.close()
         self._context.close()
 
     def seat(self, run: Run, say: Say) -> Seat:
@@ -137,9 +142,9 @@ class Hall:
             kind.due = time.perf_counter()
 
     def catch_up(self, seat: Seat) -> None:
-        """The step that a run has missed."""
-        if seat.behind and seat.runs:
-            self._steps(seat.kind, [seat], 0.0)
+        """The rest of a step at which a run was held."""
+        if seat.behind and not seat.left:
+            self._propose(seat.kind, [seat], 0.0)
 
     def keeps(self, seat: Seat, apart: float = KEEP_APART) -> None:
         """Has policy and rows written as they are."""
@@ -240,17 +245,17 @@ class Hall:
                 self.writes(seat)
                 self._flush(seat)
 
-        self._ask("flush", seat, flush, FLUSH_APART)
+        self._flushing.ask(f"{id(seat)}", flush, FLUSH_APART)
 
     def _keep(self, seat: Seat) -> bool:
         taught = seat.taught
         if taught is None:
             return False
         with seat.lock:
-            write = taught.keep()
+            kept = taught.kept()
         seat.catch_up()
         try:
-            write()
+            self._clerk.write(kept(taught.session))
         except Exception as error:
             text = self._words(error)
             self.does(lambda: seat.problem(text))
@@ -285,7 +290,7 @@ class Hall:
         self._closing = True
 
     def _tick(self, kind: Kind, behind: float) -> None:
-        running = [seat for seat in self._seats_of(kind) if seat.runs]
+        running = [seat for seat in self._seats_of(kind) if seat.runs and not seat.behind]
         kind.due += kind.seconds + (behind if behind > LATEST else 0.0)
         if running:
             try:
@@ -294,70 +299,60 @@ class Hall:
                 self.fault(error)
                 for seat in running:
                     seat.breaks(self._words(error))
-        else:
+        elif not any(seat.runs for seat in self._seats_of(kind)):
             kind.due = math.inf
 
     def _seats_of(self, kind: Kind) -> Iterable[Seat]:
         with self._taking:
             return [seat for seat in self._seats if seat.kind is kind]
 
-    def _steps(self, kind: Kind, due: Sequence[Seat], late: float) -> None:
-        """One step of each of these, but for those that are held: they are caught up with."""
-        free: list[Seat] = []
-        for seat in due:
-            seat.behind = not seat.lock.acquire(blocking=False)
-            if not seat.behind:
-                free.append(seat)
-        try:
-            if free:
-                self._step(kind, free, late)
-        finally:
-            for seat in free:
-                seat.lock.release()
-
-    def _step(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
-        actions = [seat.session.latest[1] for seat in seats]
-        going: list[tuple[Seat, np.ndarray]] = []
-        beginning: list[Seat] = []
-        moves = step_together(kind.worlds, [seat.world for seat in seats], actions)
+    def _steps(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
+        """One step of each of these: of their tasks, then of their policies."""
+        moves = step_together(
+            kind.worlds, [seat.world for seat in seats], [seat.session.latest[1] for seat in seats]
+        )
+        going, beginning = [], []
         for seat, moved in zip(seats, moves, strict=True):
             if isinstance(moved, UserError):
                 seat.breaks(str(moved))
-                continue
-            seat.moves(moved)
-            why = "over" if moved.over else "time" if seat.time_is_up() else None
-            if why is None:
-                going.append((seat, moved.obs))
-            elif self._goes_on_after(seat, why):
-                beginning.append(seat)
+            else:
+                seat.moves(moved)
+                going.append(seat)
+                if seat.goes_on_after:
+                    beginning.append(seat)
         if beginning:
-            worlds, episodes = [seat.world for seat in beginning], [seat.episode for seat in beginning]
+            worlds, episodes = [seat.world for seat in beginning], [seat.episode + 1 for seat in beginning]
             for seat, obs in zip(beginning, begin_together(kind.worlds, worlds, episodes), strict=True):
                 if isinstance(obs, UserError):
                     seat.breaks(str(obs))
+                    going.remove(seat)
                 else:
-                    going.append((seat, obs))
-        if not going:
-            return
-        raised = propose_together([seat.session for seat, _ in going], np.array([obs for _, obs in going]))
+                    seat.next = obs
+        self._propose(kind, going, late)
+
+    def _propose(self, kind: Kind, seats: Sequence[Seat], late: float) -> None:
+        """What follows from where the tasks of these are, but for those that are held: they are caught up with."""
+        free = [seat for seat in seats if seat.is_taken_by_clock()]
+        try:
+            for seat in free:
+                seat.closes()
+            going = [seat for seat in free if seat.next is not None]
+            raised = propose_together(
+                [seat.session for seat in going], np.array([seat.next for seat in going])
+            ) if going else []
+            for seat, error in zip(going, raised, strict=True):
+                seat.proposes(error)
+        finally:
+            for seat in free:
+                seat.lock.release()
         now = time.perf_counter()
-        for (seat, _), error in zip(going, raised, strict=True):
-            if error is not None:
-                seat.breaks(str(error))
-                continue
-            seat.stepped(late)
-            if seat.run.cue and kind.prior is not None and now - seat.sigma_asked > SIGMA_APART:
+        for seat in free:
+            seat.tells_step(late)
+            if seat.over:
+                self.completes(seat)
+            elif seat.run.cue and kind.prior is not None and now - seat.sigma_asked > SIGMA_APART:
                 seat.sigma_asked = now
                 self.learns(seat.measure_sigma)
-
-    def _goes_on_after(self, seat: Seat, why: str) -> bool:
-        """Ends an episode: whether another one follows."""
-        seat.ends(why)
-        if not seat.over:
-            self.keeps(seat)
-            return True
-        self.completes(seat)
-        return False
 
 
 def _of(course: Course) -> Hashable:

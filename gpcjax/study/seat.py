@@ -70,8 +70,11 @@ class Seat:
         self.lock = threading.Lock()
         """Held by who moves this run: its steps, or a correction."""
         self.behind = False
-        """A step was due while a correction was under way."""
+        """The task has made a step, and the policy not yet: a correction was under way."""
         self.taught: Taught | None = None
+        self.next: Any = None
+        """What is seen of the task at the step to come."""
+        self._ends, self._told = "", None
         self.over = self.left = self.broken = False
         """Complete; given back; at a step from which it cannot go on."""
         self._paused, self._why, self._problem = True, "preparing", None
@@ -144,15 +147,9 @@ class Seat:
         """What was prepared: from here on it rests, and is told."""
         self.taught = taught
         self._steps = sum(episode.length for episode in taught.tally.finished) + taught.present.length
-        self.over = self.is_over()
+        self.over = self._is_over
         self._why = "over" if self.over else "start"
         self._tell_everything()
-
-    def stepped(self, late: float) -> None:
-        """Counts and tells the step that was just made."""
-        assert self.taught is not None
-        self.taught.proposed()
-        self._frame(late)
 
     def breaks(self, text: str) -> None:
         """Rests for good: task and learner are no longer at the same step. A later seat begins before it."""
@@ -160,20 +157,56 @@ class Seat:
         self.problem(text)
 
     def moves(self, moved: Moved) -> None:
-        """Counts a step of the task."""
+        """Counts a step of the task: whether the episode ends there, and what is seen."""
         assert self.taught is not None
         self.taught.moved(moved)
         self._steps += 1
+        self._ends = "over" if moved.over else "time" if self._time_is_up else ""
+        self.next = None if self._ends else moved.obs
 
-    def ends(self, why: str) -> None:
-        """Ends the episode, and tells; after the last one it rests for good."""
+    @property
+    def goes_on_after(self) -> bool:
+        """Whether the episode ends at this step, and another one follows."""
+        return bool(self._ends) and not (self._finished + 1 >= self.run.episodes or self._time_is_up)
+
+    def is_taken_by_clock(self) -> bool:
+        """Has the lock, or is behind from here on: who has it sees that when it is done."""
+        self.behind = True
+        if not self.lock.acquire(blocking=False):
+            return False
+        self.behind = False
+        return True
+
+    def closes(self) -> None:
+        """Ends the episode, if it does."""
+        if self._ends:
+            assert self.taught is not None
+            ended = self.taught.close(self._ends)
+            self._told = {"type": "episode", **episode_of(self.episode - 1, ended), "why": self._ends}
+            self._ends = ""
+            self._first_of_episode = self._number + 1
+            self.over = self._is_over
+
+    def proposes(self, error: UserError | None) -> None:
+        """Counts what was proposed at the next step."""
         assert self.taught is not None
-        ended = self.taught.close(why)
-        self._first_of_episode = self._number + 1
-        self._tell({"type": "episode", **episode_of(self.episode - 1, ended), "why": why})
-        self.over = self.is_over()
+        self.next = None
+        if error is None:
+            self.taught.proposed()
+        else:
+            self.breaks(str(error))
+
+    def tells_step(self, late: float) -> None:
+        """The step that was just made, and the episode that ended before; after the last one it rests for good."""
+        told, self._told = self._told, None
+        if told is not None:
+            self._tell(told)
+            if not self.over:
+                self._hall.keeps(self)
         if self.over:
             self.rests("over")
+        elif not self.broken:
+            self._frame(late)
 
     def rests(self, why: str) -> None:
         """It rests from now on."""
@@ -186,13 +219,15 @@ class Seat:
         self._tell({"type": "problem", "text": text})
         self._state()
 
-    def time_is_up(self) -> bool:
+    @property
+    def _time_is_up(self) -> bool:
         """Whether no more steps fit into the run."""
         return self.run.seconds is not None and self._steps * self.kind.seconds >= self.run.seconds - 1e-9
 
-    def is_over(self) -> bool:
+    @property
+    def _is_over(self) -> bool:
         """Whether no step is to come, at the end of an episode."""
-        return self._finished >= self.run.episodes or self.time_is_up()
+        return self._finished >= self.run.episodes or self._time_is_up
 
     def tell_over(self) -> None:
         """All is written."""

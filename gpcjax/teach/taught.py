@@ -13,7 +13,7 @@ from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
-from gpcjax.learners.base import Info
+from gpcjax.learners.base import Info, Learner, State
 from gpcjax.learners.saved import save_policy
 from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
@@ -232,23 +232,18 @@ class Taught:
 
         The policy is that of then: to take its state out of a session is a copy of megabytes, for which no step waits.
         """
-        session, tally = self.session, self.tally
+        kept = self.kept()
+        return lambda: kept(self.session).write()
+
+    def kept(self) -> "Callable[[Session], Kept]":
+        """The same, as something that another process may write; the session is asked for its state."""
+        tally = self.tally
         measured = tally.measurements(), tally.own(), tally.log()
 
-        def write() -> None:
-            _replaced(
-                self.folder / POLICY,
-                lambda path: save_policy(
-                    path,
-                    session.learner,
-                    session.state,
-                    env=self.course.env,
-                    corrections=session.corrections,
-                ),
-            )
-            write_rows(self.folder, self.course, *measured)
+        def kept(session: Session) -> Kept:
+            return Kept(self.folder, self.course, session.learner, session.state, session.corrections, measured)
 
-        return write
+        return kept
 
     def _propose(self, obs: np.ndarray) -> None:
         self.session.propose(obs)
@@ -278,6 +273,29 @@ class Taught:
             total += self.world.step(np.asarray(self.present.actions[-1])).reward
         if total != values["total"]:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
+
+
+class Kept(NamedTuple):
+    """Rows and policy as they are at some point."""
+
+    folder: Path
+    course: Course
+    learner: Learner
+    state: State
+    corrections: int
+    measured: tuple[dict[str, np.ndarray], ...]
+
+    def write(self) -> None:
+        """Writes them, in place of those before.
+
+        Raises:
+            UserError, OSError: they cannot be written.
+        """
+        provenance = {"env": self.course.env, "corrections": self.corrections}
+        _replaced(
+            self.folder / POLICY, lambda path: save_policy(path, self.learner, self.state, **provenance)
+        )
+        write_rows(self.folder, self.course, *self.measured)
 
 
 class Evaluation:
