@@ -11,6 +11,7 @@ import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.report.statistics import mean_interval, student_p
 from gpcjax.study.design import Treatment
+from gpcjax.study.register import Register
 from gpcjax.study.report import run as report_run
 from gpcjax.study.report.asked import asked_of
 from gpcjax.study.report.columns import TABLES, dictionary
@@ -140,7 +141,7 @@ def test_answers_are_of_learners_not_letters(drawn):
         treatment = scale.about[1]
         assert treatment is not None
         wanted = [
-            one.kept.number % 7 + (one.letters["A"] == treatment)
+            1 + one.kept.number % 6 + (one.letters["A"] == treatment)
             for one in held.people
             if one.kept.number in scale.scores.seeds
         ]
@@ -241,7 +242,7 @@ def test_arms_between_participants(tmp_path):
     assert all(each.first.learner == each.second.learner and each.participants == 4 for each in between)
     assert (out / "analysis" / "rows" / "recorded" / "cartpole-gpc-late").is_dir()
     page = (out / "analysis" / "report.md").read_text()
-    assert "4 (not paired)" in page and "GPC, late" in page and "| in all | 4 |" in page
+    assert "4 (not paired)" in page and "GPC (late)" in page and "| in all | 4 |" in page
 
 
 def test_arms_within_participants(tmp_path):
@@ -274,3 +275,17 @@ def test_two_learners_of_one_kind_have_names_and_looks_of_their_own(tmp_path):
 
     looks = looks_of(list(names), algorithms_of(held))
     assert len({look.colour for look in looks.values()}) == 2
+
+
+def test_choices_of_letters_count_the_learners_of_all_arms(tmp_path):
+    arms = "[[arms]]\nname = 'late'\ndelay = 0.3\n[[arms]]\nname = 'soon'\n[[learners]]"
+    text = TOML.replace("[completed]", CHOICE.replace('"B"]', '"B", "neither"]')).replace(
+        "[[learners]]", arms, 1
+    )
+    out, study = study_with(tmp_path, text=text)
+    register = Register(out, study)
+    for code in ("one", "two", "three"):
+        goes(register.admit(code))
+    (choice,) = asked_of(held := read_held(out, nothing), names_of(held)).choices
+    assert set(choice.counts) == {*names_of(held).values(), "neither"}
+    assert sum(choice.counts.values()) == 3 and choice.counts["neither"] == 0

@@ -130,13 +130,17 @@ def _choice(
     name_of: Mapping[Treatment, str],
 ) -> Choice:
     counts = Counter(name_of[one.letters[value]] if value in one.letters else value for one, value in answers)
-    stands = {
-        letter: name_of[treatment]
+    meant = {
+        (letter, name_of[treatment])
         for one, _ in answers
         for letter, treatment in one.letters.items()
         if letter in question.options
     }
-    shown = [*sorted(set(stands.values())), *(each for each in question.options if each not in stands)]
+    letters = {letter for letter, _ in meant}
+    shown = [
+        *sorted({name for _, name in meant}),
+        *(each for each in question.options if each not in letters),
+    ]
     return Choice(question, about, {option: counts[option] for option in shown})
 
 

@@ -82,13 +82,11 @@ def _over_participants(
             axis.set_xlabel("episode")
             axis.set_ylabel(_unit(task, label))
         style.legend(figure, _handles(numbers, looks, name_of))
-    count = {task: max(len(each.by_participant) for each in numbers.of(task)) for task in tasks}
-    people = ", ".join(f"{number} in {words.task(task)}" for task, number in count.items())
-    if len(set(count.values())) == 1:
-        people = str(next(iter(count.values())))
+    counts = sorted({len(each.by_participant) for each in numbers.taught})
+    people = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     caption = (
-        f"{begins} ({people} participants). Strong lines: walking mean of {WINDOW} episodes with its 95% interval over "
-        "participants; faint lines: the mean itself. An episode that some runs did not come to is the mean of those "
+        f"{begins} ({people} participants a line). Strong lines: walking mean of {WINDOW} episodes with its 95% interval "
+        "over participants; faint lines: the mean itself. An episode that some runs did not come to is the mean of those "
         "that did."
     )
     return Drawing(figure, alternative, caption + (f" {CUT}" if cut else ""))

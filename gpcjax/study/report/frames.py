@@ -29,7 +29,7 @@ def tables_of(held: Held) -> dict[str, pa.Table]:
 
 def treatment_name(held: Held, treatment: Treatment) -> str:
     """What stands behind a letter, as tables have it: the learner, with the arm where there are several."""
-    return treatment.learner if len(held.study.arms) == 1 else f"{treatment.learner}, {treatment.arm}"
+    return treatment.learner if len(held.study.arms) == 1 else f"{treatment.learner} ({treatment.arm})"
 
 
 def _table(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> pa.Table:

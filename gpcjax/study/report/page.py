@@ -57,9 +57,8 @@ def names_of(held: Held) -> dict[Treatment, str]:
     for arm in held.study.arms:
         for learner in arm.learners:
             treatment = Treatment(learner, arm.name)
-            algo = algorithms[treatment]
-            title = words.algorithm(algo) if learner == algo else learner
-            found[treatment] = title if len(held.study.arms) == 1 else f"{title}, {arm.name}"
+            title = _title(learner, algorithms[treatment])
+            found[treatment] = title if len(held.study.arms) == 1 else f"{title} ({arm.name})"
     return found
 
 
@@ -104,9 +103,20 @@ def _lead(held: Held) -> str:
         *([f"{states[ACTIVE]} under way"] if states[ACTIVE] else []),
         f"{recorded} recorded runs",
         words.listed([words.task(task) for task in study.tasks]),
-        f"single-blind, {words.listed(list(dict.fromkeys(names_of(held).values())))}",
+        f"single-blind, {words.listed(_learners(held))}",
+        *([f"arms {words.listed([arm.name for arm in study.arms])}"] if len(study.arms) > 1 else []),
     ]
     return " · ".join(parts)
+
+
+def _learners(held: Held) -> list[str]:
+    """What they are called, whatever the arm."""
+    algorithms = algorithms_of(held)
+    return list(dict.fromkeys(_title(each.learner, algorithms[each]) for each in names_of(held)))
+
+
+def _title(learner: str, algo: str) -> str:
+    return words.algorithm(algo) if learner == algo else learner
 
 
 def _warnings(held: Held, numbers: Numbers) -> Iterator[str]:
