@@ -14,7 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.study.bots import crowd
 from gpcjax.study.bots.behaviour import KINDS, SILENT, Kind, Teacher, kind_of
 from gpcjax.study.bots.experts import expert_of
-from gpcjax.study.bots.visitor import Outcome
+from gpcjax.study.bots.place import Outcome
 
 STEP = 0.02
 

@@ -17,8 +17,8 @@ from gpcjax.study.report.asked import asked_of
 from gpcjax.study.report.columns import TABLES, dictionary
 from gpcjax.study.report.held import read_held
 from gpcjax.study.report.made import is_stale
+from gpcjax.study.report.naming import algorithms_of, names_of
 from gpcjax.study.report.numbers import numbers_of, welch
-from gpcjax.study.report.page import names_of
 from gpcjax.study.report.run import draw
 from gpcjax.study.status import status
 from tests.study.example import TOML, study_with
@@ -271,7 +271,6 @@ def test_two_learners_of_one_kind_have_names_and_looks_of_their_own(tmp_path):
     assert set(names.values()) == {"GPC", "slow gpc"}
     assert names[Treatment("slow gpc", "all")] == "slow gpc"
     from gpcjax.study.report.figures import looks_of
-    from gpcjax.study.report.page import algorithms_of
 
     looks = looks_of(list(names), algorithms_of(held))
     assert len({look.colour for look in looks.values()}) == 2

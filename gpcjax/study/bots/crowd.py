@@ -9,7 +9,8 @@ from urllib.parse import urlsplit
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.study.bots.behaviour import KINDS, Kind, kind_of
-from gpcjax.study.bots.visitor import Outcome, Place, Visitor, load_page
+from gpcjax.study.bots.place import Outcome, Place, load_page
+from gpcjax.study.bots.visitor import Visitor
 
 APART = 0.2
 """Mean seconds between one and the next: a crowd does not come in one moment."""

@@ -4,73 +4,26 @@ import asyncio
 import contextlib
 import functools
 import json
-import re
 import time
-import urllib.request
 from collections.abc import Mapping
-from dataclasses import dataclass
 from random import Random
 from typing import Any
-from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from gpcjax.study.bots.behaviour import Advice, Kind, Teacher
 from gpcjax.study.bots.experts import expert_of
+from gpcjax.study.bots.place import SECONDS, Outcome, Place, load_page
 
 MEASURED = {"width": 1280, "height": 800, "frame_rate": 60, "round_trip": 5}
 """What it says of its machine."""
-
-SECONDS = 20.0
-"""For an answer of the server."""
 
 AGAIN = (0.5, 5.0)
 """Seconds until it tries to come back: the first time, and at most."""
 
 TRIES = 5
 """How often it says something again that could not be kept."""
-
-REFERENCES = re.compile(r'(?:src|href)="(/[^"]*)"')
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the study is."""
-
-    address: str
-    """http(s)://HOST[:PORT]/"""
-
-    @property
-    def origin(self) -> str:
-        """As a browser tells it."""
-        parts = urlsplit(self.address)
-        return f"{parts.scheme}://{parts.netloc}"
-
-    @property
-    def socket(self) -> str:
-        """Of a participant's page."""
-        return f"{'wss' if self.address.startswith('https') else 'ws'}://{urlsplit(self.address).netloc}/part"
-
-
-@dataclass
-class Outcome:
-    """How it went for one of them."""
-
-    code: str
-    kind: str
-    ended: str = ""
-    """The state that the server told, "gave up", "refused", or "lost"."""
-    text: str = ""
-    """Why, where it was refused or lost."""
-    completion: str | None = None
-    """The completion code, or the link."""
-    presses: int = 0
-    learned: int = 0
-    """Of its advices those that the learner has learned from."""
-    runs: int = 0
-    connections: int = 0
-    seconds: float = 0.0
 
 
 class _Left(Exception):
@@ -356,27 +309,6 @@ class Visitor:
     def _cancel(task: "asyncio.Task[None] | None") -> None:
         if task is not None:
             task.cancel()
-
-
-def load_page(address: str, code: str) -> int:
-    """Loads the page and what it refers to, as a browser does first; gives the number of files.
-
-    Raises:
-        OSError: a file is not there, or nobody answers.
-    """
-    parts = urlsplit(address)
-    root = f"{parts.scheme}://{parts.netloc}"
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-
-    def get(path: str) -> bytes:
-        with opener.open(root + path, timeout=SECONDS) as answer:
-            return answer.read()
-
-    page = get(f"/?code={code}").decode()
-    paths = dict.fromkeys(REFERENCES.findall(page))
-    for path in paths:
-        get(path)
-    return 1 + len(paths)
 
 
 @functools.lru_cache(maxsize=64)

@@ -85,9 +85,9 @@ def _over_participants(
     counts = sorted({len(each.by_participant) for each in numbers.taught})
     people = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     caption = (
-        f"{begins} ({people} participants a line). Strong lines: walking mean of {WINDOW} episodes with its 95% interval "
-        "over participants; faint lines: the mean itself. An episode that some runs did not come to is the mean of those "
-        "that did."
+        f"{begins} ({people} participants a line). Strong lines: walking mean of {WINDOW} episodes with its 95% "
+        "interval over participants; faint lines: the mean itself. An episode that some runs did not come to is the "
+        "mean of those that did."
     )
     return Drawing(figure, alternative, caption + (f" {CUT}" if cut else ""))
 

@@ -11,7 +11,6 @@ from gpcjax.report.document import (
     Document,
     Folded,
     Heading,
-    Kind,
     Paragraph,
     Picture,
     Sheet,
@@ -19,52 +18,18 @@ from gpcjax.report.document import (
 )
 from gpcjax.report.statistics import RESAMPLES
 from gpcjax.study.design import Treatment
-from gpcjax.study.participant import ACTIVE, COMPLETE, ENDED
+from gpcjax.study.participant import ACTIVE, COMPLETE
 from gpcjax.study.report.asked import Asked, Key
 from gpcjax.study.report.held import Held
+from gpcjax.study.report.naming import learners_of, names_of
 from gpcjax.study.report.numbers import STATISTICS, Difference, Numbers
 from gpcjax.study.report.stores import versions_differ
+from gpcjax.study.report.who import WORDS, events, states
 from gpcjax.study.steps import RECORDED
 from gpcjax.sweep.sofar import FINAL_EPISODES
 
 FEW = 10
 """Participants below which intervals say little of rare outcomes."""
-
-MOST_LINES = 200
-"""Longer tables are folded away."""
-
-_WORDS: dict[str, Kind] = {
-    name: "word"
-    for name in (
-        "task",
-        "learner",
-        "first",
-        "second",
-        "statistic",
-        "question",
-        "order",
-        "arm",
-        "state",
-        "event",
-    )
-} | {"text": "prose"}
-
-
-def names_of(held: Held) -> dict[Treatment, str]:
-    """What each learner in each arm is called in tables and figures."""
-    algorithms = algorithms_of(held)
-    found = {}
-    for arm in held.study.arms:
-        for learner in arm.learners:
-            treatment = Treatment(learner, arm.name)
-            title = _title(learner, algorithms[treatment])
-            found[treatment] = title if len(held.study.arms) == 1 else f"{title} ({arm.name})"
-    return found
-
-
-def algorithms_of(held: Held) -> dict[Treatment, str]:
-    """What learner each is."""
-    return {Treatment(learner, arm): course.algo for (learner, arm, _), course in held.study.courses.items()}
 
 
 def document(
@@ -84,8 +49,8 @@ def document(
         *_answers(asked, name_of),
         *_order(numbers),
         Heading("Who took part"),
-        _states(held),
-        *_events(held),
+        states(held),
+        *events(held),
         Heading("How the numbers are made"),
         Definitions(_methods(held)),
         Heading("Files"),
@@ -96,27 +61,17 @@ def document(
 
 def _lead(held: Held) -> str:
     study = held.study
-    states = Counter(one.kept.state for one in held.people)
+    count = Counter(one.kept.state for one in held.people)
     recorded = sum(run.counts and run.step.phase == RECORDED for run in held.runs)
     parts = [
-        f"{states[COMPLETE]} of {study.participants} participants complete",
-        *([f"{states[ACTIVE]} under way"] if states[ACTIVE] else []),
+        f"{count[COMPLETE]} of {study.participants} participants complete",
+        *([f"{count[ACTIVE]} under way"] if count[ACTIVE] else []),
         f"{recorded} recorded runs",
         words.listed([words.task(task) for task in study.tasks]),
-        f"single-blind, {words.listed(_learners(held))}",
+        f"single-blind, {words.listed(learners_of(held))}",
         *([f"arms {words.listed([arm.name for arm in study.arms])}"] if len(study.arms) > 1 else []),
     ]
     return " · ".join(parts)
-
-
-def _learners(held: Held) -> list[str]:
-    """What they are called, whatever the arm."""
-    algorithms = algorithms_of(held)
-    return list(dict.fromkeys(_title(each.learner, algorithms[each]) for each in names_of(held)))
-
-
-def _title(learner: str, algo: str) -> str:
-    return words.algorithm(algo) if learner == algo else learner
 
 
 def _warnings(held: Held, numbers: Numbers) -> Iterator[str]:
@@ -148,7 +103,7 @@ def _results(numbers: Numbers, name_of: Mapping[Treatment, str]) -> Iterator[Blo
             )
         breaks.add(len(rows) - 1)
     if rows:
-        yield Sheet("", columns, tuple(rows), frozenset(breaks), _WORDS)
+        yield Sheet("", columns, tuple(rows), frozenset(breaks), WORDS)
         yield Paragraph(
             "Means over participants with 95% intervals. Area: mean return of an episode; final return: mean of the "
             f"last {FINAL_EPISODES} episodes, or of fewer where a run has fewer; corrections: in a run."
@@ -188,7 +143,7 @@ def _differences(
             )
         )
     yield Heading(title, level=3)
-    yield Sheet("", columns, tuple(rows), kinds=_WORDS)
+    yield Sheet("", columns, tuple(rows), kinds=WORDS)
     between = (
         " Not paired: participants of two arms, by Welch's t."
         if any(not each.paired for each in made)
@@ -225,7 +180,7 @@ def _answers(asked: Asked, name_of: Mapping[Treatment, str]) -> Iterator[Block]:
                 )
                 for each in own
             ),
-            kinds=_WORDS,
+            kinds=WORDS,
         )
     yield from _differences("Differences of answers", asked.differences, name_of, {})
     for each in asked.choices:
@@ -240,7 +195,7 @@ def _answers(asked: Asked, name_of: Mapping[Treatment, str]) -> Iterator[Block]:
     for question in dict.fromkeys(each.question for each in asked.texts):
         own = [each for each in asked.texts if each.question is question]
         rows = tuple((str(each.participant), *_about(each.about, name_of), each.text) for each in own)
-        sheet = Sheet(question.text, ("participant", "task", "learner", "text"), rows, kinds=_WORDS)
+        sheet = Sheet(question.text, ("participant", "task", "learner", "text"), rows, kinds=WORDS)
         yield Folded(f"{len(rows)} text{'' if len(rows) == 1 else 's'} on {question.name}", (sheet,))
 
 
@@ -269,7 +224,7 @@ def _order(numbers: Numbers) -> Iterator[Block]:
         )
     columns = ("task", "order", *map(_ordinal, range(1, places + 1)), "last - first", "people")
     yield Heading("Effects of the order")
-    yield Sheet("", columns, tuple(rows), kinds=_WORDS)
+    yield Sheet("", columns, tuple(rows), kinds=WORDS)
     yield Paragraph(
         "Area, mean over participants with its 95% interval. Learner met: by whether the learner was the first that "
         "the participant met, or a later one, whoever it was; recorded run: the first recorded run with each learner, "
@@ -280,69 +235,6 @@ def _order(numbers: Numbers) -> Iterator[Block]:
 
 def _ordinal(number: int) -> str:
     return {1: "1st", 2: "2nd", 3: "3rd"}.get(number, f"{number}th")
-
-
-def _states(held: Held) -> Sheet:
-    states = [COMPLETE, ACTIVE, *(each for each in ENDED if each != COMPLETE)]
-    arms = list(dict.fromkeys(one.arm for one in held.people)) or ["all"]
-    rows = []
-    for arm in arms:
-        counts = Counter(one.kept.state for one in held.people if one.arm == arm)
-        rows.append((arm, str(sum(counts.values())), *(str(counts[state]) for state in states)))
-    if len(rows) > 1:
-        rows.append(
-            ("in all", *(str(sum(int(row[place]) for row in rows)) for place in range(1, len(rows[0]))))
-        )
-    kinds: dict[str, Kind] = {"arm": "word"}
-    return Sheet("", ("arm", "joined", *states), tuple(rows), kinds=kinds)
-
-
-def _events(held: Held) -> Iterator[Block]:
-    dropped = [one for one in held.people if one.kept.state not in (ACTIVE, COMPLETE)]
-    if dropped:
-        rows = tuple(
-            (
-                str(one.kept.number),
-                one.arm,
-                one.kept.state,
-                one.kept.why,
-                f"{one.kept.step} of {len(one.steps)}",
-            )
-            for one in dropped
-        )
-        kinds: dict[str, Kind] = _WORDS | {"why": "prose"}
-        yield Sheet(
-            "who dropped out", ("participant", "arm", "state", "why", "steps done"), rows, kinds=kinds
-        )
-    counted = {
-        "came back": "here",
-        "looked away in a run": "away",
-        "fell idle": "idle",
-        "technical problems": "problem",
-    }
-    rows = []
-    for name, event in counted.items():
-        each = [held.counted(one.kept.number, event) - (event == "here") for one in held.people]
-        some = [count for count in each if count > 0]
-        rows.append((name, str(sum(some)), str(len(some)), str(max(some, default=0))))
-    yield Sheet("what happened", ("event", "times", "people", "most of one"), tuple(rows), kinds=_WORDS)
-    problems = [
-        (str(one.kept.number), str(event.get("step") or ""), str(event.get("text", "")))
-        for one in held.people
-        for event in held.events[one.kept.number]
-        if event["event"] == "problem"
-    ]
-    if problems:
-        told = Sheet(
-            "technical problems",
-            ("participant", "step", "text"),
-            tuple(problems[:MOST_LINES]),
-            kinds=_WORDS | {"step": "word"},
-        )
-        more = len(problems) - MOST_LINES
-        yield Folded(
-            f"{len(problems)} technical problems" + (f", the first {MOST_LINES}" if more > 0 else ""), (told,)
-        )
 
 
 def _methods(held: Held) -> dict[str, str]:

@@ -20,8 +20,9 @@ from gpcjax.study.report.columns import dictionary
 from gpcjax.study.report.frames import tables_of
 from gpcjax.study.report.held import Held, read_held
 from gpcjax.study.report.made import MADE, state_of
+from gpcjax.study.report.naming import algorithms_of, names_of
 from gpcjax.study.report.numbers import Numbers, numbers_of
-from gpcjax.study.report.page import algorithms_of, document, names_of
+from gpcjax.study.report.page import document
 from gpcjax.study.report.stores import write_stores
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.layout import Say
