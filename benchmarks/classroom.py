@@ -18,6 +18,7 @@ import asyncio
 import json
 import os
 import random
+import signal
 import socket
 import subprocess
 import sys
@@ -31,10 +32,13 @@ from typing import Any
 import numpy as np
 
 TICK, PRESS = 5.0, 60.0
-"""Milliseconds that the 95th percentiles of `jitter_ms` and `press_ms` may have."""
+"""Milliseconds that the 95th percentiles of `tick_ms` and `press_ms` may have."""
 
 BURST, ROUND, APART = 2.0, 6.0, 1 / 8
 """Seconds: somebody presses for so long, out of so many, so far apart."""
+
+TEACHERS, SECONDS = "1,8,64,128,256", 20.0
+"""Numbers of teachers, and for how long each is measured."""
 
 WARM = 2.0
 """Seconds before what is measured."""
@@ -42,9 +46,9 @@ WARM = 2.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--teachers", default="1,8,64,128,256", help="how many, number by number")
+    parser.add_argument("--teachers", default=TEACHERS, help="how many, number by number")
     parser.add_argument("--kinds", default="cartpole/gpc", help="TASK/LEARNER, one or several")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--serve", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--teach", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -54,12 +58,17 @@ def main() -> None:
         port, count = map(int, arguments.teach.split(","))
         print(json.dumps(asyncio.run(teach(port, count, arguments.seconds))))
     else:
-        for count in map(int, arguments.teachers.split(",")):
-            figures = measure(count, arguments.kinds, arguments.seconds)
-            print(json.dumps(figures), flush=True)
-            if figures["jitter_ms"]["p95"] > TICK or figures["press_ms"]["p95"] > PRESS:
-                print(f"{count} are too many: it ends there", file=sys.stderr)
-                break
+        run(arguments.teachers, arguments.kinds, arguments.seconds)
+
+
+def run(teachers: str, kinds: str, seconds: float) -> None:
+    """A line of figures for each number of teachers, up to the first that is too many."""
+    for count in map(int, filter(None, teachers.split(","))):
+        figures = measure(count, kinds, seconds)
+        print(json.dumps(figures), flush=True)
+        if figures["tick_ms"]["p95"] > TICK or figures["press_ms"]["p95"] > PRESS:
+            print(f"{count} are too many: it ends there", file=sys.stderr)
+            break
 
 
 def measure(count: int, kinds: str, seconds: float) -> dict[str, Any]:
@@ -108,7 +117,9 @@ def serve(places: int, kinds: list[str]) -> None:
         env, algo = kinds[number % len(kinds)].split("/")
         return Course.of({"env": Given(env, "env"), "algo": Given((algo,), "algo")}, number)
 
-    hall = Hall([course(number) for number in range(len(kinds))], places, lambda text: print(text, file=sys.stderr))
+    hall = Hall(
+        [course(number) for number in range(len(kinds))], places, lambda text: print(text, file=sys.stderr)
+    )
     hall.start()
 
     async def lesson(websocket: WebSocket) -> None:
@@ -128,6 +139,7 @@ def serve(places: int, kinds: list[str]) -> None:
             sending.cancel()
             seat.leave()
 
+    signal.signal(signal.SIGTERM, lambda *_: None)  # what ends the server, which sends it on
     with tempfile.TemporaryDirectory() as scratch, socket.socket() as listening:
         folder = Path(scratch)
         listening.bind(("127.0.0.1", 0))
@@ -259,7 +271,14 @@ class Teacher:
             for _ in range(round(BURST / APART)):
                 number += 1
                 self._pressed[number] = time.monotonic()
-                press = {"id": number, "dim": 0, "h": self._draw.choice((-1, 1)), "n": 0, "at": 0, "held": False}
+                press = {
+                    "id": number,
+                    "dim": 0,
+                    "h": self._draw.choice((-1, 1)),
+                    "n": 0,
+                    "at": 0,
+                    "held": False,
+                }
                 await self._socket.send(json.dumps({"type": "press", **press}))
                 await asyncio.sleep(APART)
             await asyncio.sleep(ROUND - BURST)

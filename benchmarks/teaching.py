@@ -3,6 +3,8 @@
 A server as `gpcjax teach` starts it, with nothing compiled before, and Chromium on the same machine. Keys are held, now
 this, now that, until so many advices were learned; the page's own marks tell when a key went down, when its answer came
 and when that was drawn. One line of JSON at the end, for `benchmarks/README.md`.
+
+Then many at once, as in a study: `benchmarks.classroom`, with TEACHERS="1,8,64" of them (--teachers).
 """
 
 import argparse
@@ -19,6 +21,7 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
+from benchmarks import classroom
 from gpcjax.recording import RECORD, Recording
 
 PHASE = "document.documentElement.dataset.phase"
@@ -35,6 +38,9 @@ def main() -> None:
     parser.add_argument("--env", default="cartpole")
     parser.add_argument("--algo", default="gpc")
     parser.add_argument("--points", type=int, default=1000, help="advices until the end")
+    parser.add_argument(
+        "--teachers", default=classroom.TEACHERS, help="at once, number by number; empty: none"
+    )
     parser.add_argument("--chromium", default="/usr/bin/chromium")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -58,7 +64,8 @@ def main() -> None:
                 server.send_signal(signal.SIGINT)
                 server.wait()
                 browser.close()
-        print(json.dumps({**vars(arguments), **figures, **pace(folder)}))
+        print(json.dumps({**vars(arguments), **figures, **pace(folder)}), flush=True)
+    classroom.run(arguments.teachers, f"{arguments.env}/{arguments.algo}", classroom.SECONDS)
 
 
 def measure(page: Page, address: str, began: float, points: int) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from gpcjax.envs.registry import env_names
 from gpcjax.errors import Failure, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.sweep.atomic import write_atomic
-from gpcjax.sweep.environment import notes
+from gpcjax.sweep.environment import compute_platform, notes
 from gpcjax.sweep.keepable import check_keeping
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
@@ -42,6 +42,11 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+def default_jobs() -> int:
+    """Processes at once where nobody says: one for each core, and one alone where a GPU computes."""
+    return usable_cores() if compute_platform() == "cpu" else 1
+
+
 def sweep(arguments: argparse.Namespace) -> int:
     """`gpcjax sweep` and `gpcjax grid`."""
     if arguments.quick and arguments.toml is None:
@@ -59,7 +64,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     if arguments.command == "grid" and not set(varying(spec)) & set(spec.hyperparameters):
         raise UserError("no hyperparameter is a list: give one, as in --policy-length-scale 0.1,0.2,0.4")
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else default_out(spec)
-    jobs = given["jobs"].value if "jobs" in given else usable_cores()
+    jobs = given["jobs"].value if "jobs" in given else default_jobs()
     executor = _executor(given)
     shard = shard_of(given["shard"].value, given["shard"].source) if "shard" in given else None
     out = out if shard is None else shard.folder(out)
@@ -218,7 +223,7 @@ def tune(arguments: argparse.Namespace) -> int:
     """`gpcjax tune`."""
     from gpcjax.tune.command import said, wishes_of
 
-    wishes = wishes_of(arguments, settings(arguments), usable_cores())
+    wishes = wishes_of(arguments, settings(arguments), default_jobs())
     if arguments.dry_run:
         print(said(wishes))
         return 0
@@ -249,7 +254,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     }
     given = {name: parse(OPTIONS[name], text, f"--{name}") for name, text in given.items()}
     out = Path(os.path.expanduser(given["out"])) if "out" in given else folder(arguments.quick)
-    jobs = given.get("jobs", usable_cores())
+    jobs = given.get("jobs", default_jobs())
     runs = check(sweeps, out, only, arguments.quick)
     if arguments.dry_run:
         print(f"{', '.join(only)}: {runs} experiments, in {jobs} processes, into {out}")

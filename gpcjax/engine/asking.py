@@ -11,6 +11,7 @@ from gpcjax.engine import streams
 from gpcjax.engine.lanes import Lane, Phase
 from gpcjax.engine.lanewise import each, opaque, put, take
 from gpcjax.engine.stepping import moment_of
+from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner
 from gpcjax.moment import Moment
 from gpcjax.policies.base import Planner
@@ -84,7 +85,7 @@ def may_advise(
 
 def _targets(block: Lane, expert: Expert, moment: Moment) -> Float[Array, "action lanes"]:
     """What the expert would do in each lane; a planner thinks about the lanes that wait only, zero for the others."""
-    if not isinstance(expert, Planner):
+    if together() or not isinstance(expert, Planner):
         return jax.vmap(expert, in_axes=-1, out_axes=-1)(moment.obs)
 
     def body(lane: Int[Array, ""], target: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
@@ -98,6 +99,10 @@ def _uncertainty(block: Lane, moment: Moment) -> Float[Array, "action lanes"]:
     sigma = jnp.zeros_like(block.action)
     if not block.teacher.active:
         return sigma
+    if together():
+        return jax.vmap(
+            lambda learner, *others: learner._uncertainty(*others), in_axes=(0, 0, -1, -1), out_axes=-1
+        )(block.learner, block.state, moment.obs, moment.action)
 
     def body(lane: Int[Array, ""], sigma: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
         value = opaque(

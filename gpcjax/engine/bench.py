@@ -138,9 +138,7 @@ class Bench:
         own = [leaf[lane] for leaf in self._learner]
         return np.asarray(self._programs.uncertain(self._state, own, np.int32(lane), obs, action))
 
-    def acts_at(
-        self, lane: int, obs: Float[np.ndarray, "obs points"]
-    ) -> Float[np.ndarray, "action points"]:
+    def acts_at(self, lane: int, obs: Float[np.ndarray, "obs points"]) -> Float[np.ndarray, "action points"]:
         """What the policy at a place does at many observations, clipped."""
         return np.asarray(self._programs.acts_at(self._controller, np.int32(lane), obs))
 
@@ -282,9 +280,7 @@ class Programs:
     ) -> tuple[Any, ...]:
         width, sizes = self._tier.lanes, (self._learner.obs_size, self._learner.action_size)
         lane, episode, time = (at.counts[index].astype(jnp.int32) for index in (0, 2, 3))
-        obs, action, advice, about = jnp.split(
-            at.now, (sizes[0], sum(sizes), sum(sizes) + sizes[1])
-        )
+        obs, action, advice, about = jnp.split(at.now, (sizes[0], sum(sizes), sum(sizes) + sizes[1]))
         everywhere = lambda value: jnp.broadcast_to(value[..., None], (*value.shape, width))  # noqa: E731
         block = self._block(states, controllers, learners, credits)
         history = None
@@ -326,9 +322,7 @@ class Programs:
         return jax.tree.leaves(after.state), jax.tree.leaves(after.controller), after.status
 
     def _look(self, states: list, own: list, lane: Array) -> Array:
-        return self.about(
-            self._learner_form.unflatten(own), self.state_form.unflatten(take(states, lane, 0))
-        )
+        return self.about(self._learner_form.unflatten(own), self.state_form.unflatten(take(states, lane, 0)))
 
     def _act(self, controllers: Any, lane: Array, obs: Array) -> Array:
         controller = self._controller_form.unflatten(take(jax.tree.leaves(controllers), lane, -1))

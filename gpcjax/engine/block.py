@@ -16,12 +16,16 @@ from gpcjax.engine.host import HostLoop
 from gpcjax.engine.identity import Keeper, Unknown, digest
 from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
 from gpcjax.engine.rollout import Loop
+from gpcjax.gp.batching import together
 
 CHUNK_SECONDS = {Loop: 0.02, HostLoop: 0.1}
 """About how long a block runs between two looks of the host, which cost simulations on the host a tick of their own."""
 
 ENTER, ENTER_BYTES = 16, 1 << 22
 """Lanes that are put into a block by one call, at most; fewer of large ones, as each call is filled up with copies."""
+
+TOGETHER, TOGETHER_BYTES = 256, 1 << 26
+"""The same where lanes are computed together, and lanes that are taken out by one call: each call costs more there."""
 
 MOST_ROUNDS = 4096
 """Rounds between two looks at most: a chunk that ends early, for want of lanes, tells nothing of their length."""
@@ -205,8 +209,8 @@ class Block:
 
     def _places(self, *phases: Phase) -> list[int]:
         """The occupied places whose lanes are in one of these phases."""
-        now = np.asarray(self.lanes.phase)
-        return [place for place in self.runs if now[place] in phases]
+        among = np.isin(np.asarray(self.lanes.phase), [int(phase) for phase in phases]).tolist()
+        return [place for place in self.runs if among[place]]
 
     def _set_phase(self, places: Sequence[int], phase: Phase) -> None:
         if places:
@@ -241,15 +245,22 @@ class Block:
 
             return (jax.lax.fori_loop(0, count, one, block),)
 
+        def enter_together(block: Lane, places: Any, count: Any, entries: tuple) -> tuple[Lane]:
+            nowhere = jnp.int32(self.tier.lanes)
+            places = jnp.where(jnp.arange(places.shape[0]) < count, places, nowhere)
+            return (_insert_all(block, places, jax.vmap(make)(*entries)),)
+
         size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(entries[:1]))
-        at_once = min(ENTER, self.tier.lanes, max(1, ENTER_BYTES // max(size, 1)))
+        most, most_bytes = (TOGETHER, TOGETHER_BYTES) if together() else (ENTER, ENTER_BYTES)
+        at_once = min(most, self.tier.lanes, max(1, most_bytes // max(size, 1)))
         free = [place for place in range(self.tier.lanes) if place not in self.runs]
         for first in range(0, len(entries), at_once):
             batch = entries[first : first + at_once]
             places = np.resize(np.array(free[first : first + len(batch)], np.int32), at_once)
             padded = [*batch, *[batch[-1]] * (at_once - len(batch))]
             stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
-            self._call(program, enter, places, np.int32(len(batch)), stacked)
+            entering = enter_together if together() else enter
+            self._call(program, entering, places, np.int32(len(batch)), stacked)
         self.runs.update(zip(free, runs, strict=False))
 
     def _call(self, program: str, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple:
@@ -321,9 +332,41 @@ class Block:
         """Copies of lanes, on the host."""
         if not places:
             return []
+        if together():
+            return self._take_from_device(places)
         taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self.lanes)
-        leaves, structure = jax.tree.flatten(taken)
-        return [structure.unflatten([leaf[i] for leaf in leaves]) for i in range(len(places))]
+        return _apart(taken, len(places))
+
+    def _take_from_device(self, places: Sequence[int]) -> list[Lane]:
+        """The same, where a block is far from the host: no other lane comes along, but for a few to fill up."""
+
+        def take(block: Lane, places: Any) -> tuple[Any, ...]:
+            taken = map_lanes(lambda leaf, axis: jnp.moveaxis(leaf, axis, 0)[places], block)
+            return block, *jax.tree.leaves(taken)
+
+        lanes, at_once = [], min(TOGETHER, self.tier.lanes)
+        for first in range(0, len(places), at_once):
+            batch = places[first : first + at_once]
+            taken = self._call("take", take, np.resize(np.array(batch, np.int32), at_once))
+            lanes += _apart(self._structure.unflatten(jax.device_get(list(taken))), len(batch))
+        return lanes
+
+
+def _apart(lanes: Lane, count: int) -> list[Lane]:
+    """The first of these lanes, whose first axis in every leaf is that of the lanes, each for itself."""
+    leaves, structure = jax.tree.flatten(lanes)
+    return [structure.unflatten([leaf[i] for leaf in leaves]) for i in range(count)]
+
+
+def _insert_all(block: Lane, places: Any, lanes: Lane) -> Lane:
+    """The block with lanes at these places; what has no such place is left out."""
+
+    def put(leaf: jax.Array, values: jax.Array, axis: int) -> jax.Array:
+        if axis == 0:
+            return leaf.at[places].set(values, mode="drop")
+        return leaf.at[..., places].set(jnp.moveaxis(values, 0, -1), mode="drop")
+
+    return map_lanes(put, block, lanes)
 
 
 def _insert(block: Lane, place: Any, lane: Lane) -> Lane:

@@ -2,8 +2,8 @@
 
 Every step of all that are due is one call of a program, and so is every correction. A pupil whose dictionary is full
 moves to the block of the next room before the correction that may not fit: a matter of its own counts, as in a pool
-(`gpcjax.engine.pool`). Blocks have 8 lanes or more, a power of two, so that the bits of a lane do not depend on who else
-is there: the recording of a session here is made again in a classroom with one pupil.
+(`gpcjax.engine.pool`). Blocks have 8 lanes or more, a power of two, so that the bits of a lane do not depend on who
+else is there: the recording of a session here is made again in a classroom with one pupil.
 
 Methods may be called from several threads. Of each pupil one thing happens at a time, which its caller sees to; the
 steps of others do not wait for a correction.
@@ -48,7 +48,7 @@ def rooms_of(given: Any) -> Rooms:
 
 
 def lanes_for(places: int) -> int:
-    """The width of a block with so many places: a power of two, and a full vector at least (`gpcjax.engine.pool.Tier`)."""
+    """The width of a block with so many places: a power of two, a full vector at least (`gpcjax.engine.pool.Tier`)."""
     return max(LEAST, 1 << (places - 1).bit_length())
 
 

@@ -188,7 +188,9 @@ class Alone(Desk):
     ) -> "tuple[Alone, Advised]":
         block = jax.block_until_ready(advised(self._with_room(), advice[:, None]))
         after = self._with(cleared(block))
-        shown = [np.full(len(advice), np.nan) if about is None else each.acts(about) for each in (self, after)]
+        shown = [
+            np.full(len(advice), np.nan) if about is None else each.acts(about) for each in (self, after)
+        ]
         return after, Advised(told(block), int(np.asarray(block.tally.corrections)[0]), *shown)
 
     def taken_back(self, before: Desk) -> "Alone":

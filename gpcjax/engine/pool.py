@@ -44,9 +44,18 @@ Measured on a CPU (`benchmarks/README.md`): few tiers, as each costs seconds to 
 proportional to the width from 32 lanes on, and those few that outgrow the others run alone in the end.
 """
 
+LANES_TOGETHER = dict(
+    zip((tier.human_capacity for tier in TIERS), (4096, 4096, 2048, 1024, 512, 256, 64), strict=True)
+)
+"""Lanes of these tiers where lanes are computed together (`gpcjax.gp.batching`), by points of the human model.
 
-def tiers(max_capacity: int) -> tuple[Tier, ...]:
-    """The tiers up to `max_capacity` points, the last one exactly there."""
+Measured on one GPU (`benchmarks/README.md`): there a round takes as long for a thousand lanes as for ten. Others are as
+wide as the last.
+"""
+
+
+def tiers(max_capacity: int, together: bool = False) -> tuple[Tier, ...]:
+    """The tiers up to `max_capacity` points, the last one exactly there; `together` for where lanes are."""
     largest, beyond = TIERS[-1].human_capacity, [Tier(TIERS[-1].human_capacity, TIERS[-1].human_capacity, 8)]
     while largest < max_capacity:
         largest *= 2
@@ -54,6 +63,8 @@ def tiers(max_capacity: int) -> tuple[Tier, ...]:
     chosen: list[Tier] = []
     for tier in (*TIERS, *beyond):
         policy, human = min(tier.policy_capacity, max_capacity), min(tier.human_capacity, max_capacity)
+        if together:
+            tier = dataclasses.replace(tier, lanes=LANES_TOGETHER.get(tier.human_capacity, 64))
         if not chosen or (policy, human) != (chosen[-1].policy_capacity, chosen[-1].human_capacity):
             chosen.append(dataclasses.replace(tier, policy_capacity=policy, human_capacity=human))
     return tuple(chosen)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -85,7 +84,7 @@ class Session:
             raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
         late = {"credit": credit, "credit_longest": credit_longest, "credit_shape": credit_shape}
         given = {**late, "time_step": time_step, "seed": seed, "undos": undos}
-        settings = {
+        settings: dict[str, Any] = {
             name: None if name in late and value is None else checked(name, value, *_NUMBERS[name])
             for name, value in given.items()
         }

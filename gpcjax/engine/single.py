@@ -224,7 +224,9 @@ def info_in(log: CorrectionLog, status: Int[Array, ""], action_size: int) -> Inf
     numbers = jnp.full((action_size, 3), jnp.nan).at[:, 0].set(0.0)
     numbers = numbers.at[place].set(log.values[:action_size], mode="drop")
     flags = jnp.zeros((action_size, 3), bool).at[place].set(log.outcome[:action_size], mode="drop")
-    return Info(*numbers.T, *flags.T, status)
+    rate, sigma_policy, sigma_human = numbers.T
+    appended, replaced, full = flags.T
+    return Info(rate, sigma_policy, sigma_human, appended, replaced, full, status)
 
 
 def cleared(block: Lane) -> Lane:

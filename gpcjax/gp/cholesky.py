@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PyTree
 
 import gpcjax._x64  # noqa: F401
+from gpcjax.gp.batching import together
 
 Square = Float[Array, "n n"]
 Vector = Float[Array, " n"]
@@ -47,13 +48,23 @@ def one_at_a_time(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     the numbers that it has alone. `function` closes over no array. Its derivative of either mode is that of what it is
     made of; that must itself be safe under `vmap`, and may compute all lanes in one go.
     """
-    single = jax.custom_jvp(jax.custom_batching.sequential_vmap(function))
+    single = jax.custom_jvp(_batched_apart(function))
     single.defjvp(lambda primals, tangents: jax.jvp(function, primals, tangents))
     return single
 
 
+def _batched_apart(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """`function`, which under `jax.vmap` computes one lane after the other; all at once on an accelerator."""
+    apart = jax.custom_batching.sequential_vmap(function)
+
+    def choose(*operands: PyTree) -> PyTree:
+        return (function if together() else apart)(*operands)
+
+    return choose
+
+
 _factorise = jax.custom_jvp(
-    jax.custom_batching.sequential_vmap(lambda matrix: lax.linalg.cholesky(matrix, symmetrize_input=False))
+    _batched_apart(lambda matrix: lax.linalg.cholesky(matrix, symmetrize_input=False))
 )
 """L of a symmetric matrix L L^T, read from its lower triangle."""
 
@@ -64,7 +75,7 @@ def _substitution(transpose: bool) -> Callable[[Square, Float[Array, "n k"]], Fl
     def substitute(lower: Square, right: Float[Array, "n k"]) -> Float[Array, "n k"]:
         return lax.linalg.triangular_solve(lower, right, left_side=True, lower=True, transpose_a=transpose)
 
-    single = jax.custom_jvp(jax.custom_batching.sequential_vmap(substitute))
+    single = jax.custom_jvp(_batched_apart(substitute))
 
     @single.defjvp
     def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:

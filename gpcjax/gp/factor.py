@@ -14,7 +14,8 @@ With k the covariances of an input with the points, |S k|^2 is the variance that
 weights with which they do. Both, and a column of the precision matrix S^T S, come from one pass over the root.
 
 A root is kept in tiles (`gpcjax.gp.tiles`). `roots` holds one or many, `place` is the place of the one that is meant,
-and only tiles that its `count` points reach are touched.
+and only tiles that its `count` points reach are touched; where lanes are computed together (`gpcjax.gp.batching`),
+all of a root in one operation.
 """
 
 import equinox as eqx
@@ -24,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 import gpcjax._x64  # noqa: F401
 from gpcjax.gp import cholesky, tiles
+from gpcjax.gp.batching import together
 from gpcjax.gp.tiles import ROWS, Places, Roots, Vector
 
 Square = Float[Array, "n n"]
@@ -100,6 +102,8 @@ def explained(
 ) -> Float[Array, ""]:
     """|S k|^2; arguments as of `read`."""
     k = tiles.pad(covariances)
+    if together():
+        return jnp.square(_whole(roots, place, k.shape[0], lower) @ k).sum()
 
     def panel(index: Int[Array, ""], total: Float[Array, ""]) -> Float[Array, ""]:
         whitened = _whiten(tiles.Panel(roots, place, count, index, k.shape[0], lower), k)
@@ -125,6 +129,11 @@ def read(
         lower: how the root is kept. Static.
     """
     n, k = covariances.shape[0], tiles.pad(covariances)
+    if together():
+        root = _whole(roots, place, k.shape[0], lower)
+        whitened = root @ k
+        column = jnp.zeros(n) if point is None else (jnp.take(root, point, axis=1) @ root)[:n]
+        return Reading(jnp.square(whitened).sum(), (whitened @ root)[:n], column)
 
     def panel(
         index: Int[Array, ""], sums: tuple[Array, tuple[Vector, ...]]
@@ -212,6 +221,14 @@ def write(roots: Roots, place: Places, count: Int[Array, ""], edit: Edit, given:
     """The roots with an edit of the one at `place`; as they were if it is not `given`. Not for a `lower` root."""
     scaled, image = tiles.pad(edit.scaled), tiles.pad(edit.image)
     size = scaled.shape[0]
+    index = jnp.where(given, edit.index, size)
+    if together():
+        changes, rows = given & edit.replaces, jnp.arange(size)
+        before = tiles.take(roots, place)
+        after = jnp.where(rows[None] == edit.index, 0.0, before - scaled[:, None] * image[None])
+        after = jnp.where(changes, after, before)
+        row = tiles.pad(edit.row)[None]
+        return tiles.put(roots, place, (0, 0), jnp.where(rows[:, None] == index, row, after))
 
     def panel(index: Int[Array, ""], roots: Roots) -> Roots:
         part = lax.dynamic_slice(scaled, (index * ROWS,), (ROWS,))
@@ -228,7 +245,6 @@ def write(roots: Roots, place: Places, count: Int[Array, ""], edit: Edit, given:
 
     panels = jnp.where(given & edit.replaces, tiles.whole(count, ROWS), 0)
     roots = lax.fori_loop(0, panels, panel, roots)
-    index = jnp.where(given, edit.index, size)
     return roots.at[(*place, index)].set(tiles.pad(edit.row), mode="drop")
 
 
@@ -242,7 +258,16 @@ def append(roots: Roots, place: Places, index: Int[Array, ""], row: Vector) -> R
         part = lax.dynamic_slice(row, (j * width,), (width,))
         return tiles.put(roots, place, (panel.first + j, index % ROWS, 0), part)
 
+    if together():
+        tile = jnp.arange(row.shape[0] // width)
+        written = jnp.where((index < n) & (tile < panel.tiles), panel.first + tile, roots.shape[len(place)])
+        return roots.at[(*place, written, index % ROWS)].set(row.reshape(-1, width), mode="drop")
     return lax.fori_loop(0, jnp.where(index < n, panel.tiles, 0), put, roots)
+
+
+def _whole(roots: Roots, place: Places, size: int, lower: bool) -> Square:
+    """S of the one at `place` as a matrix, with its empty rows."""
+    return dense(tiles.take(roots, place), size, lower)
 
 
 def _whiten(panel: tiles.Panel, covariances: Vector) -> Float[Array, " rows"]:

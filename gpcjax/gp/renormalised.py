@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from gpcjax.gp import cholesky, tiles
+from gpcjax.gp.batching import together
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, small, take
 from gpcjax.gp.process import Change, GaussianProcess, Reading
@@ -174,8 +175,11 @@ def _switch_leading(
 
     Under `vmap` one lane after the other, each with its own size: in one go all lanes would be factorised at all
     sizes. 64 lanes of capacity 64 learned 1,900 corrections a second like this and 1,000 in one go (there on one
-    thread, where that does not hang; 16 lanes: 1,200 and 860; a busy machine of two cores).
+    thread, where that does not hang; 16 lanes: 1,200 and 860; a busy machine of two cores). On an accelerator all lanes
+    at once, with their empty rows.
     """
+    if together():
+        return function(process, capacity, *operands)
     sizes = _leading_sizes(capacity)
 
     @cholesky.one_at_a_time

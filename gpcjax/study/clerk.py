@@ -14,7 +14,7 @@ import sys
 import threading
 from typing import IO, Any
 
-from gpcjax.sweep.environment import python, worker_environment
+from gpcjax.sweep.environment import computing_environment, python, worker_environment
 
 SLOWER = 10
 """By how much its priority is lower: steps come first."""
@@ -62,7 +62,7 @@ class Clerk:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(told)
         self._process.stdin.flush()
-        return pickle.load(self._process.stdout)  # noqa: S301  (of our own process)
+        return pickle.load(self._process.stdout)
 
     @staticmethod
     def _begun() -> subprocess.Popen[bytes]:
@@ -70,7 +70,7 @@ class Clerk:
             python("gpcjax.study.clerk"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=worker_environment(),
+            env={**worker_environment(), **computing_environment("cpu")},
         )
 
 
@@ -80,9 +80,9 @@ def main() -> None:
     os.nice(SLOWER)
     asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    with contextlib.suppress(EOFError):
+    with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
-            _answer(pickle.load(asked), answers)  # noqa: S301  (of the process that began this)
+            _answer(pickle.load(asked), answers)
 
 
 def _answer(kept: Any, answers: IO[bytes]) -> None:

@@ -12,6 +12,7 @@ A run that is being corrected misses no step: it is caught up with as soon as th
 """
 
 import contextlib
+import functools
 import gc
 import math
 import queue
@@ -32,7 +33,7 @@ from gpcjax.study.seat import Run, Say, Seat, Standing
 from gpcjax.sweep.lock import held
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
-from gpcjax.teach.taught import Taught, settings_of
+from gpcjax.teach.taught import Kept, Taught, settings_of
 from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]
@@ -109,10 +110,12 @@ class Hall:
             raise UserError(f"{run.course.algo} on {run.course.env}, with these settings, is not taught here")
         seat = Seat(self, kind, run, say)
         with self._taking:
-            here = next((each for each in self._seats if each.run.folder == run.folder and not each.left), None)
+            here = next(
+                (each for each in self._seats if each.run.folder == run.folder and not each.left), None
+            )
             if here is not None:
                 raise UserError(f"{run.folder}: somebody is at this run, who must leave before")
-            if len(self._seats) >= self._places:
+            if self._taken >= self._places:
                 raise UserError(f"all {self._places:,} places are taken: try again when somebody has left")
             if any(each.run.folder == run.folder for each in self._seats):  # one that is just being left
                 raise UserError(f"{run.folder}: somebody sits there: try again when its place is given back")
@@ -124,7 +127,11 @@ class Hall:
     def free(self) -> int:
         """Places that nobody has."""
         with self._taking:
-            return self._places - len(self._seats)
+            return self._places - self._taken
+
+    @property
+    def _taken(self) -> int:
+        return sum(not seat.released for seat in self._seats)
 
     # --- for seats
 
@@ -167,17 +174,23 @@ class Hall:
         seat.left = True
 
         def write() -> None:
+            sat, kept = seat.taught is not None, None
             try:
                 if seat.taught is not None:
                     self.writes(seat)
-                    self._keep(seat)
-            finally:
+                    kept = self._kept(seat, seat.taught)
                 with seat.lock, self._taking:
                     if seat.taught is not None:
                         seat.kind.release(seat.taught)
-                        seat.held.close()
-                    seat.taught = None
+                    seat.taught, seat.released = None, True
+                if kept is not None:  # which takes a while: the place is free before
+                    self._clerk.write(kept)
+            finally:
+                with self._taking:
+                    seat.taught, seat.released = None, True
                     self._seats.discard(seat)
+                if sat:
+                    seat.held.close()
                 seat.gone.set()
 
         self._ask("leave", seat, write)
@@ -205,7 +218,11 @@ class Hall:
 
     def _add(self, course: Course) -> None:
         learner = Kind.learner_of(course)
-        key = course.env, kind_of(learner, credit_of(settings_of(course))), dict(course.settings).get("credit")
+        key = (
+            course.env,
+            kind_of(learner, credit_of(settings_of(course))),
+            dict(course.settings).get("credit"),
+        )
         if key not in self._kinds:
             self._kinds[key] = Kind(course, self._places)
         self._kind_of[_of(course)] = self._kinds[key]
@@ -237,7 +254,10 @@ class Hall:
         self._flush(seat)
 
     def _ask(self, name: str, seat: Seat, do: Callable[[], object], apart: float = 0.0) -> None:
-        self._papers.ask(f"{name} {id(seat)}", lambda: do() and None, apart)
+        def done() -> None:
+            do()
+
+        self._papers.ask(f"{name} {id(seat)}", done, apart)
 
     def _flush(self, seat: Seat) -> None:
         def flush() -> None:
@@ -251,16 +271,21 @@ class Hall:
         taught = seat.taught
         if taught is None:
             return False
-        with seat.lock:
-            kept = taught.kept()
-        seat.catch_up()
         try:
-            self._clerk.write(kept(taught.session))
+            self._clerk.write(self._kept(seat, taught))
         except Exception as error:
             text = self._words(error)
             self.does(lambda: seat.problem(text))
             return False
         return True
+
+    @staticmethod
+    def _kept(seat: Seat, taught: Taught) -> Kept:
+        """What is written of a run, as it is now."""
+        with seat.lock:
+            kept = taught.kept()
+        seat.catch_up()
+        return kept(taught.session)
 
     # --- learning
 
@@ -281,7 +306,7 @@ class Hall:
             kind = min(self._kinds.values(), key=lambda kind: kind.due)
             wait = kind.due - time.perf_counter()
             if wait <= 0:
-                self._guarded(lambda: self._tick(kind, -wait))
+                self._guarded(functools.partial(self._tick, kind, -wait))
                 continue
             with contextlib.suppress(queue.Empty):
                 self._guarded(self._queue.get(timeout=None if wait == math.inf else wait))
@@ -337,9 +362,11 @@ class Hall:
             for seat in free:
                 seat.closes()
             going = [seat for seat in free if seat.next is not None]
-            raised = propose_together(
-                [seat.session for seat in going], np.array([seat.next for seat in going])
-            ) if going else []
+            raised = (
+                propose_together([seat.session for seat in going], np.array([seat.next for seat in going]))
+                if going
+                else []
+            )
             for seat, error in zip(going, raised, strict=True):
                 seat.proposes(error)
         finally:

@@ -1,6 +1,7 @@
 """The reception of a study: pages come in, people sit down, the experimenter looks on. In the server's event loop."""
 
 import asyncio
+import functools
 import sys
 import time
 from collections import deque
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.websockets import WebSocket
 
 from gpcjax.errors import UserError
+from gpcjax.study.mailbox import Mailbox
 from gpcjax.study.participant import Participant
 from gpcjax.study.protocol import EXPERIMENTER, LONGEST, PARTICIPANT
 from gpcjax.study.register import Refused, Register
@@ -57,6 +59,11 @@ class Reception:
         self._clerk = ThreadPoolExecutor(1, "clerk")
         self._expired = time.monotonic()
         self._ticking: asyncio.Task[None] | None = None
+
+    @functools.cached_property
+    def mailbox(self) -> Mailbox:
+        """Of the event loop, in which it is first asked for."""
+        return Mailbox()
 
     def fault(self, text: str) -> None:
         """Shows the experimenter what concerns no single participant, from any thread."""

@@ -78,8 +78,10 @@ class Seat:
         self.over = self.left = self.broken = False
         """Complete; given back; at a step from which it cannot go on."""
         self._paused, self._why, self._problem = True, "preparing", None
+        self.released = False
+        """The place is free again."""
         self.gone = threading.Event()
-        """Set when the place is free again."""
+        """Set when all is written, too."""
         self.sigma: list[float] | None = None
         self.sigma_asked = 0.0
         self.held = contextlib.ExitStack()
@@ -90,7 +92,8 @@ class Seat:
 
     def press(self, press: Press) -> None:
         """An advice; one while it rests, or about an episode that is over, is none."""
-        self._hall.learns(lambda: self._learn(press))
+        if self.runs:
+            self._hall.learns(lambda: self._learn(press))
 
     def go_on(self) -> None:
         """Runs, from the next tick on."""
@@ -139,9 +142,7 @@ class Seat:
         if taught is None:
             return Standing(0, 0, 0.0, 0, *rests)
         present = taught.present
-        return Standing(
-            self._finished, present.length, present.total, taught.session.corrections, *rests
-        )
+        return Standing(self._finished, present.length, present.total, taught.session.corrections, *rests)
 
     def sits(self, taught: Taught) -> None:
         """What was prepared: from here on it rests, and is told."""

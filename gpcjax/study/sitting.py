@@ -5,13 +5,13 @@ it says comes when it is ready.
 """
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from gpcjax.errors import UserError
 from gpcjax.study.blind import PROBLEM, blinded
+from gpcjax.study.mailbox import Mailbox
 from gpcjax.study.needed import Needed
 from gpcjax.study.participant import Participant
 from gpcjax.study.showing import present, wrong
@@ -38,6 +38,7 @@ class Reception(Protocol):
     hall: "Hall"
     held: bool
     """Whether the experimenter has paused all."""
+    mailbox: Mailbox
 
     def clerk(self, do: Callable[..., Any], *given: Any) -> Awaitable[Any]:
         """Does something on the disk, one thing after the other, in a thread of its own."""
@@ -66,7 +67,7 @@ class Sitting:
         self.problem = ""
         """The latest."""
         self.state: dict[str, Any] = {"paused": True, "why": "start"}
-        self._loop = asyncio.get_running_loop()
+        self._loop, self._mailbox = asyncio.get_running_loop(), reception.mailbox
         self._lock = asyncio.Lock()
         self._generation = 0
         self._asked = self._gone = self._acted = self._rested = 0.0
@@ -134,12 +135,7 @@ class Sitting:
 
     def _said_by(self, generation: int) -> Say:
         """Takes the messages of one seat, from any thread."""
-
-        def say(message: dict[str, Any] | bytes) -> None:
-            with contextlib.suppress(RuntimeError):  # the server has ended
-                self._loop.call_soon_threadsafe(self._hear_seat, generation, message)
-
-        return say
+        return lambda message: self._mailbox.post(self._hear_seat, generation, message)
 
     def _hear_seat(self, generation: int, message: dict[str, Any] | bytes) -> None:
         if generation != self._generation:

@@ -19,6 +19,7 @@ from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.errors import UserError
+from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.descriptions import CREDIT
 from gpcjax.learners.factory import sizes_of
@@ -32,8 +33,8 @@ from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
 
-WIDE = Tier(1, 1, lanes=64)
-"""The one block of learners without a dictionary: nothing of theirs grows."""
+WIDE, WIDE_TOGETHER = Tier(1, 1, lanes=64), Tier(1, 1, lanes=8192)
+"""The one block of learners without a dictionary: nothing of theirs grows. On a CPU, and on an accelerator."""
 
 _OF_THE_EXPERIMENT = ("rate", "error", "delta")
 """Settings of every sweep, which a teacher is given that has them."""
@@ -161,4 +162,8 @@ def make_oracle(
 
 
 def _tiers(program: Program) -> Sequence[Tier]:
-    return tiers(program.max_capacity) if find("learner", program.algo).dictionary else (WIDE,)
+    # Simulations on the host are stepped one after the other, whatever computes the rest.
+    wide = together() and not find("task", program.env).on_host
+    if find("learner", program.algo).dictionary:
+        return tiers(program.max_capacity, wide)
+    return (WIDE_TOGETHER if wide else WIDE,)

@@ -36,12 +36,19 @@ XLA_OPTIONS = {
 Measured in `benchmarks/README.md`: together they halve the time of a round. Other versions run without any.
 """
 
+PLATFORM = "GPCJAX_PLATFORM"
+"""What workers compute on: a variable of gpcjax's own, as those of jax may be set for something else."""
+
+PLATFORMS = ("cpu", "cuda")
+"""The values that it may have."""
+
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 """Where XLA's programs are kept; the one variable of jax that a person may set for workers."""
 
 LET_THROUGH = frozenset(
     "PATH HOME USER LOGNAME TMPDIR TMP TEMP TZ LANG LANGUAGE LD_LIBRARY_PATH DYLD_LIBRARY_PATH SYSTEMROOT".split()
 )
+LET_THROUGH_TO_GPU = frozenset((PLATFORM, "CUDA_VISIBLE_DEVICES"))
 LET_THROUGH_PREFIXES = ("LC_", "XDG_")
 """All that a worker gets of the present environment: where things are, and in which language.
 
@@ -54,9 +61,29 @@ _NOTEWORTHY = ("JAX_", "XLA_", "EQX_")
 """A person who sets these wants something of what computes, and is told that sweeps do without."""
 
 
-def computing_environment() -> dict[str, str]:
-    """One thread, XLA's options, and the processor: what rows depend on, whatever the present environment says."""
-    return {**SINGLE_THREADED, "XLA_FLAGS": " ".join(xla_options()), "JAX_PLATFORMS": "cpu"}
+def computing_environment(platform: str | None = None) -> dict[str, str]:
+    """One thread, XLA's options, and the processor: what rows depend on, whatever the present environment says.
+
+    But for GPCJAX_PLATFORM, or `platform`, where a GPU is asked for: then XLA's own options, and rows that are those
+    of a processor but for rounding.
+    """
+    platform = platform or compute_platform()
+    environment = {**SINGLE_THREADED, "XLA_FLAGS": " ".join(xla_options()), "JAX_PLATFORMS": platform}
+    if platform != "cpu":
+        environment |= {"XLA_FLAGS": "", "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}  # others may be on it, too
+    return environment
+
+
+def compute_platform() -> str:
+    """What workers compute on, as jax names it: the processor, unless GPCJAX_PLATFORM says otherwise.
+
+    Raises:
+        UserError: it says something else than one of `PLATFORMS`.
+    """
+    given = os.environ.get(PLATFORM, "") or "cpu"
+    if given not in PLATFORMS:
+        raise UserError(f"{PLATFORM}={given}: give {' or '.join(PLATFORMS)}, or leave it out")
+    return given
 
 
 def xla_options(jaxlib: str | None = None) -> tuple[str, ...]:
@@ -77,10 +104,11 @@ def worker_environment() -> dict[str, str]:
     is compiled for one must not run on another. A JAX_COMPILATION_CACHE_DIR of the user's own is respected. Where
     nothing can be written, nothing is kept. Modules are found where this process finds them, and nowhere else.
     """
+    names = LET_THROUGH if compute_platform() == "cpu" else LET_THROUGH | LET_THROUGH_TO_GPU
     environment = {
         name: value
         for name, value in os.environ.items()
-        if name in LET_THROUGH or name.startswith(LET_THROUGH_PREFIXES)
+        if name in names or name.startswith(LET_THROUGH_PREFIXES)
     }
     environment |= _kept_programs("0.2")
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
@@ -90,12 +118,13 @@ def worker_environment() -> dict[str, str]:
 def compute_here() -> None:
     """Makes this process, which has not loaded jax, compute as workers do: with their options and their programs.
 
-    Small programs are kept, too: somebody waits for each of them.
+    Always on the processor: what is computed here is a step at a time. Small programs are kept, too: somebody waits for
+    each of them.
     """
     for name in [name for name in os.environ if name.startswith(_NOTEWORTHY)]:
         del os.environ[name]
     os.environ.update(
-        {**_kept_programs("0"), **computing_environment(), "JAX_CPU_ENABLE_ASYNC_DISPATCH": "0"}
+        {**_kept_programs("0"), **computing_environment("cpu"), "JAX_CPU_ENABLE_ASYNC_DISPATCH": "0"}
     )
 
 
@@ -160,9 +189,9 @@ def cache_folder() -> Path | None:
 
 
 def programs_folder() -> Path | None:
-    """Where whole programs are kept, of this processor alone: beside what XLA keeps of them."""
+    """Where whole programs are kept, of this processor alone: beside what XLA keeps of them. None of a GPU are."""
     folder = cache_folder()
-    return None if folder is None else folder / f"programs-{_processor_hash()}"
+    return None if folder is None or compute_platform() != "cpu" else folder / f"programs-{_processor_hash()}"
 
 
 def forget_programs() -> bool:

@@ -15,11 +15,12 @@ import json
 import os
 import platform
 import re
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gpcjax.sweep.environment import worker_environment
+from gpcjax.sweep.environment import compute_platform, worker_environment
 
 CPUINFO = Path("/proc/cpuinfo")
 
@@ -32,6 +33,8 @@ _WIDTH = re.compile(r"--xla_cpu_prefer_vector_width=(\d+)")
 
 _BITS = ("architecture", "cpu_family", "cpu_model", "vector_features", "vector_width", "xla_flags", "lapack")
 """Entries of `describe` that decide about bits."""
+_MAY_BE = ("accelerator",)
+"""The same, of some machines only."""
 
 
 def describe() -> dict[str, Any]:
@@ -44,7 +47,7 @@ def describe() -> dict[str, Any]:
     flags = worker_environment().get("XLA_FLAGS", "")
     widths = _WIDTH.findall(flags)
     features = cpu.get("flags", cpu.get("Features", "")).split()
-    return {
+    told = {
         "platform": platform.platform(),
         "processor": cpu.get("model name", platform.processor()),
         "cores": os.cpu_count(),
@@ -58,6 +61,9 @@ def describe() -> dict[str, Any]:
         "xla_flags": flags,
         "lapack": _lapack(),
     }
+    if (accelerator := compute_platform()) != "cpu":
+        told["accelerator"] = f"{accelerator} {_graphics_card()}".strip()
+    return told
 
 
 def kind_of(machine: Mapping[str, Any]) -> str:
@@ -67,13 +73,14 @@ def kind_of(machine: Mapping[str, Any]) -> str:
     """
     if not all(name in machine for name in _BITS):
         return ""
-    text = json.dumps([machine[name] for name in _BITS])
+    bits = [machine[name] for name in _BITS] + [machine[name] for name in _MAY_BE if name in machine]
+    text = json.dumps(bits)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """Names of the entries, of those that decide about bits, that are not the same."""
-    return [name for name in _BITS if one.get(name) != other.get(name)]
+    return [name for name in (*_BITS, *_MAY_BE) if one.get(name) != other.get(name)]
 
 
 def _cpuinfo() -> dict[str, str]:
@@ -84,6 +91,16 @@ def _cpuinfo() -> dict[str, str]:
         return {}
     entries = (line.partition(":") for line in text.split("\n\n")[0].splitlines())
     return {name.strip(): value.strip() for name, _, value in entries}
+
+
+def _graphics_card() -> str:
+    """Name of the first card that Nvidia's driver knows; empty where it tells none."""
+    try:
+        command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+        told = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return told.stdout.partition("\n")[0].strip()
 
 
 @functools.cache

@@ -13,9 +13,7 @@ from gpcjax.teach.course import DICTIONARY, Course
 from gpcjax.teach.origin import Origin
 
 
-def beginning(
-    course: Course, start: Path | None, room: int | None = None
-) -> tuple[Learner, State | None]:
+def beginning(course: Course, start: Path | None, room: int | None = None) -> tuple[Learner, State | None]:
     """Those in the folder `start`; without one an untaught learner, whose first state is its own affair.
 
     `room` is for how many points it has room at first; for as many as there will be without.

@@ -26,7 +26,7 @@ class Page:
     def __init__(self, websocket: WebSocket):
         self._websocket = websocket
         self._waiting: deque[str] = deque()
-        self._newest: dict[str, str | bytes] = {}
+        self._newest: dict[str, dict[str, Any] | bytes] = {}
         self._something = asyncio.Event()
         self._closing = False
         self._framed = 0.0
@@ -40,7 +40,7 @@ class Page:
         if isinstance(message, bytes):
             self._newest["picture"] = message
         elif message["type"] in ("frame", "map"):
-            self._newest[message["type"]] = _text(message)
+            self._newest[message["type"]] = message
         elif len(self._waiting) < MOST_WAITING:
             self._waiting.append(_text(message))
         else:
@@ -76,7 +76,7 @@ class Page:
                     await (
                         self._websocket.send_bytes(message)
                         if isinstance(message, bytes)
-                        else self._websocket.send_text(message)
+                        else self._websocket.send_text(_text(message))
                     )
 
 

@@ -241,7 +241,9 @@ class Taught:
         measured = tally.measurements(), tally.own(), tally.log()
 
         def kept(session: Session) -> Kept:
-            return Kept(self.folder, self.course, session.learner, session.state, session.corrections, measured)
+            return Kept(
+                self.folder, self.course, session.learner, session.state, session.corrections, measured
+            )
 
         return kept
 

@@ -91,9 +91,7 @@ class Worlds:
             )
         ]
 
-    def _actions(
-        self, lanes: Sequence[int], actions: Sequence[Any]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _actions(self, lanes: Sequence[int], actions: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
         given, mask = np.zeros((self.env.action_size, self._width)), np.zeros(self._width, bool)
         if lanes:
             given[:, list(lanes)], mask[list(lanes)] = np.array(actions, float).T, True

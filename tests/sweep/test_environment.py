@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gpcjax.sweep import environment
+from gpcjax.errors import UserError
+from gpcjax.sweep import environment, machine
 from gpcjax.sweep.environment import CACHE, XLA_OPTIONS, notes, worker_environment, xla_options
 from gpcjax.sweep.executors.starting import FEWER, reason
 
@@ -143,3 +144,22 @@ def test_xla_takes_each_option(option):
 
 def test_xla_refuses_what_it_does_not_know():
     assert starts("--xla_no_such_option=1").startswith("--xla_no_such_option=1: ")
+
+
+def test_a_gpu_is_asked_for_by_a_variable_of_our_own(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
+    monkeypatch.setenv("GPCJAX_PLATFORM", "cuda")
+    asked = worker_environment()
+    assert asked["JAX_PLATFORMS"] == "cuda" and asked["XLA_FLAGS"] == ""
+    assert asked["GPCJAX_PLATFORM"] == "cuda" and asked["CUDA_VISIBLE_DEVICES"] == "1"
+    assert environment.programs_folder() is None  # what is kept of programs is a processor's
+    assert machine.kind_of(machine.describe()) != ""
+    on_gpu = machine.describe()
+    assert on_gpu["accelerator"].startswith("cuda")
+    monkeypatch.setenv("GPCJAX_PLATFORM", "")
+    assert worker_environment()["JAX_PLATFORMS"] == "cpu"
+    assert machine.kind_of(machine.describe()) != machine.kind_of(on_gpu)
+    assert "accelerator" in machine.differences(machine.describe(), on_gpu)
+    monkeypatch.setenv("GPCJAX_PLATFORM", "tpu")
+    with pytest.raises(UserError, match="GPCJAX_PLATFORM=tpu: give cpu or cuda"):
+        worker_environment()

@@ -1,0 +1,64 @@
+"""Lanes computed all at once, as on an accelerator, learn what they learn one by one."""
+
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+from gpcjax.learners.base import Status
+from gpcjax.sweep.build import make_pool, start_of
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.spec import spec_of
+
+COUNTED = ("length", "corrections", "policy_points", "human_points", "full", "asked")
+
+CASES = {
+    "gpc": {"env": "pendulum", "algo": "gpc", "active_gain": 0.5},
+    "gpc late": {"env": "pendulum", "algo": "gpc", "credit": 0.1, "credit_longest": 0.2, "delay": 0.1},
+    "gpc full": {
+        "env": "pendulum",
+        "algo": "gpc",
+        "max_capacity": 16,
+        "on_full": "replace-nearest",
+        "delta": 0.0,
+    },
+    "gpc-ns": {"env": "cartpole", "algo": "gpc-ns", "error": 0.2},
+    "coach": {"env": "cartpole", "algo": "coach", "error": 0.2},
+    "d-coach": {"env": "pendulum", "algo": "d-coach"},
+    "gpc two actions": {"env": "lunarlander", "algo": "gpc", "oracle": "heuristic"},
+}
+SLOW = set(CASES) - {"gpc", "coach"}
+
+
+def learned(settings):
+    cells = list(plan(spec_of(**{"episodes": 2, "seeds": 3, "rate": 0.1, **settings})))
+    starts, finished = iter(cells), {}
+
+    def next_start():
+        cell = next(starts, None)
+        return None if cell is None else start_of(cell)
+
+    make_pool(cells[0]).run(next_start, lambda run: finished.update({run.name.seed: run.lane}))
+    return [finished[cell.seed] for cell in cells]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
+)
+def test_all_at_once_is_one_by_one(name, monkeypatch):
+    apart = learned(CASES[name])
+    monkeypatch.setattr("gpcjax.gp.batching.jax", SimpleNamespace(default_backend=lambda: "gpu"))
+    together = learned(CASES[name])
+    for one, other in zip(apart, together, strict=True):
+        assert one.status == other.status == Status.OK
+        assert one.rows.corrections.sum() > 3
+        for column in COUNTED:
+            np.testing.assert_array_equal(getattr(one.rows, column), getattr(other.rows, column), column)
+        np.testing.assert_allclose(one.rows.returns, other.rows.returns, rtol=1e-7)
+        np.testing.assert_array_equal(one.log.where, other.log.where)
+        for here, there in zip(
+            jax.tree.leaves(one.controller), jax.tree.leaves(other.controller), strict=True
+        ):
+            # Weights are what is left of numbers many times as large.
+            np.testing.assert_allclose(here, there, rtol=1e-4, atol=1e-6 * np.abs(here).max())
