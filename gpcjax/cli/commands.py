@@ -5,7 +5,8 @@ from dataclasses import replace
 from gpcjax.cli.flags import JSON, WHERE, Command, Flag, flag_of, help_of
 from gpcjax.cli.policy import POLICY
 from gpcjax.reproduce.parts import PARTS, folder
-from gpcjax.study.command import PLACES, USUAL_PLACES
+from gpcjax.study.command import NUMBER, PLACES, USUAL_NUMBER, USUAL_PLACES
+from gpcjax.study.command import SEED as BOTS_SEED
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OF_CREDIT,
@@ -160,9 +161,12 @@ def _study() -> Command:
             "https://HOST",
         ),
         Flag("--places", f"people who teach at once ({PLACES}; default {USUAL_PLACES})", "N", str(PLACES)),
+        Flag("--number", f"of scripted participants ({NUMBER}; default {USUAL_NUMBER})", "N", str(NUMBER)),
+        Flag("--seed", f"of what scripted participants draw ({BOTS_SEED}; default 0)", "N", str(BOTS_SEED)),
     )
     text = (
-        "the TOML file of a study; or status OUT, how far it is; or delete OUT CODE, a participant everywhere"
+        "the TOML file of a study; or status OUT, how far it is; report OUT, its rows and figures; delete OUT CODE, a "
+        "participant everywhere; or bots ADDRESS, scripted participants who rehearse it"
     )
     return Command(_TEXTS["study"], (("", flags),), word="STUDY", word_text=text, several=True)
 

@@ -16,7 +16,7 @@ def student_quantile(p: Numbers, freedom: Numbers) -> Float[np.ndarray, "*shape"
     return special.stdtrit(freedom, p)
 
 
-def student_tail(value: float, freedom: int) -> float:
+def student_tail(value: float, freedom: float) -> float:
     """The probability of Student's t above `value`."""
     return float(special.stdtr(freedom, -value))
 

@@ -15,27 +15,40 @@ from gpcjax.teach.command import PORT
 PLACES = Numbers(1, 512, whole=True)
 USUAL_PLACES = 64
 
-STATUS, DELETE = "status", "delete"
+STATUS, DELETE, REPORT, BOTS = "status", "delete", "report", "bots"
+
+NUMBER = Numbers(1, 512, whole=True)
+SEED = Numbers(0, 900_000_000, whole=True)
+USUAL_NUMBER = 64
+
+
+_WANTED = {STATUS: "OUT", REPORT: "OUT", DELETE: "OUT CODE", BOTS: "ADDRESS"}
+"""What is given behind a word."""
 
 
 def study(arguments: argparse.Namespace) -> int:
-    """Holds a study, or says how far it is, or deletes a participant, as the words say.
+    """Holds a study, says how far it is, reports on it, deletes a participant or rehearses it, as the words say.
 
     Raises:
         UserError: a mistake of the person's.
     """
     words = arguments.study or []
     own = own_values(
-        arguments, ("port", int, PORT), ("places", int, PLACES), ("address", str, Anything("an address"))
+        arguments,
+        ("port", int, PORT),
+        ("places", int, PLACES),
+        ("address", str, Anything("an address")),
+        ("number", int, NUMBER),
+        ("seed", int, SEED),
     )
-    if words[:1] in ([STATUS], [DELETE]):
-        given = [
-            name
-            for name in ("out", "host", "port", "places", "address")
-            if getattr(arguments, name) is not None
-        ]
-        if given:
-            raise UserError(f"--{given[0]}: beside {words[0]} it changes nothing, leave it out")
+    word = words[0] if words else ""
+    taken = ("number", "seed") if word == BOTS else ("out", "host", "port", "places", "address")
+    if word in (STATUS, DELETE, REPORT):
+        taken = ()
+    for name in ("out", "host", "port", "places", "address", "number", "seed"):
+        if name not in taken and getattr(arguments, name) is not None:
+            beside = f"beside {word}" if word in _WANTED else f"without {BOTS}"
+            raise UserError(f"--{name}: {beside} it changes nothing, leave it out")
     match words:
         case ["status", out]:
             from gpcjax.study.status import status
@@ -44,9 +57,12 @@ def study(arguments: argparse.Namespace) -> int:
             return 0
         case ["delete", out, code]:
             return _delete(_path(out), code)
-        case ["status" | "delete" as word, *_]:
-            wanted = "OUT" if word == STATUS else "OUT CODE"
-            raise UserError(f"gpcjax study {word}: give {wanted} behind it")
+        case ["report", out]:
+            return _report(_path(out))
+        case ["bots", address]:
+            return _rehearse(address, own.get("number", USUAL_NUMBER), own.get("seed", 0))
+        case ["status" | "delete" | "report" | "bots" as word, *_]:
+            raise UserError(f"gpcjax study {word}: give {_WANTED[word]} behind it")
         case [] if arguments.out is None:
             raise UserError("no study: give its TOML file, or the folder of one that goes on (--out OUT)")
         case [] | [_]:
@@ -54,7 +70,8 @@ def study(arguments: argparse.Namespace) -> int:
             out = _path(arguments.out) if arguments.out is not None else None
             return _hold(spec, out, arguments.host or "127.0.0.1", own)
     raise UserError(
-        f"{shown(words[1])} is one value too many: give one TOML file, or status OUT, or delete OUT CODE"
+        f"{shown(words[1])} is one value too many: give one TOML file, or "
+        + ", or ".join(f"{name} {wanted}" for name, wanted in _WANTED.items())
     )
 
 
@@ -108,6 +125,8 @@ def _hold(spec: Path | None, out: Path | None, host: str, own: dict) -> int:
             stopped = stop
         finally:
             hall.close()
+        if all(each.step is None for each in register) and not register.free:
+            _report(out)
     print(f"kept in {out}: gpcjax study --out {out} goes on with it")
     if stopped is not None and getattr(stopped, "status", ENDED) != ENDED:
         raise stopped
@@ -127,6 +146,26 @@ def _delete(out: Path, code: str) -> int:
     for each in removed:
         print(f"removed {each}")
     print(f"nothing of {code} is left in {out}; copies elsewhere, and downloads, are yours to delete")
+    return 0
+
+
+def _report(out: Path) -> int:
+    from gpcjax.study.report.run import draw
+
+    for path in draw(out, _say):
+        print(f"wrote {path}")
+    return 0
+
+
+def _rehearse(address: str, number: int, seed: int) -> int:
+    try:
+        from gpcjax.study.bots.crowd import rehearse, table
+    except ImportError as error:
+        from gpcjax.teach.run import EXTRA
+
+        raise UserError(EXTRA.format(error).replace("gpcjax teach", "gpcjax study bots")) from None
+    outcomes = rehearse(address, number, seed, say=lambda line: print(line, flush=True))
+    print(table(outcomes))
     return 0
 
 

@@ -23,6 +23,9 @@ from gpcjax.study.steps import RunStep, Step, letters_of, steps_of
 from gpcjax.sweep.atomic import write_atomic
 
 FORMAT = 1
+SEAL_TRIES, SEAL_APART = 50, 0.1
+"""How often a participant's files are looked through where one of them vanishes meanwhile; seconds between."""
+
 CARD, LOG, RUNS, TRIALS = "participant.json", "log.jsonl", "runs", "trials"
 
 ACTIVE, COMPLETE = "active", "complete"
@@ -257,13 +260,19 @@ class Participant:
         write_atomic(self.folder / CARD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
     def seal(self) -> None:
-        """Has every file of this participant on the disk, also those that a lesson wrote. Raises OSError."""
-        for path in [*self.folder.rglob("*"), self.folder]:
-            descriptor = os.open(path, os.O_RDONLY)
+        """Has every file of this participant on the disk, also those that a lesson wrote. Raises OSError.
+
+        A lesson that has just ended may still be putting a policy in place of its earlier one: then once more.
+        """
+        for again in range(SEAL_TRIES, -1, -1):
             try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+                for path in [*self.folder.rglob("*"), self.folder]:
+                    _synchronise(path)
+                return
+            except FileNotFoundError:
+                if not again or not self.folder.is_dir():
+                    raise
+                time.sleep(SEAL_APART)
 
     def log(self, event: str, **values: Any) -> None:
         """Appends what happened. Raises OSError."""
@@ -282,6 +291,14 @@ class Participant:
         if step is None or step.kind != kind:
             raise UserError(f"{self.code}: not at this step now")
         return step
+
+
+def _synchronise(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def now() -> str:

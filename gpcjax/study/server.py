@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.study.aside import POLICY, drawn
 from gpcjax.study.download import zipped
 from gpcjax.study.protocol import LONGEST
 from gpcjax.study.reception import Reception
@@ -57,6 +58,18 @@ def application(
         headers = {"content-disposition": f'attachment; filename="{name}.zip"'}
         return StreamingResponse(_in_threads(zipped(out)), media_type="application/zip", headers=headers)
 
+    drawing = asyncio.Lock()
+
+    async def report(request: Request) -> Response:
+        if request.method == "HEAD":
+            return PlainTextResponse("")
+        async with drawing:
+            try:
+                page = await drawn(out)
+            except UserError as error:
+                return PlainTextResponse(f"{error}\n", 503)
+        return FileResponse(page, media_type=KINDS[".html"], headers={"content-security-policy": POLICY})
+
     async def part(websocket: WebSocket) -> None:
         await websocket.accept()
         await reception.visit(websocket)
@@ -73,6 +86,7 @@ def application(
         WebSocketRoute("/part", part),
         Route(EXPERIMENTER, experimenter),
         Route(f"{EXPERIMENTER}/download", download),
+        Route(f"{EXPERIMENTER}/report", report),
         WebSocketRoute(f"{EXPERIMENTER}/live", live),
     ]
     return Door(Starlette(routes=routes), names, token, "gpcjax-experimenter", EXPERIMENTER, encrypted)

@@ -5,6 +5,7 @@ from typing import Any
 
 from gpcjax.study.participant import Participant
 from gpcjax.study.register import read_folder, read_people
+from gpcjax.study.report.made import is_stale
 from gpcjax.sweep.lock import holder
 
 
@@ -40,6 +41,8 @@ def status(out: Path) -> str:
         f"{out}: {study.title}, {taken} of {len(study.slots)} slots taken, "
         + (f"running ({running})" if running else "not running")
     ]
+    if is_stale(out):
+        lines.append(f"its report is of earlier data: gpcjax study report {out} makes it anew")
     if not people:
         return lines[0] + "; nobody has come yet"
     rows = [("number", "code", "state", "runs", "step", "arm", "order", "seen (UTC)")]

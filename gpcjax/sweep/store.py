@@ -130,6 +130,10 @@ class Store:
             if len(self._small[key]) >= TOGETHER:
                 self._put_together(self._small.pop(key), machine=key[0])
 
+    def put(self, tables: Mapping[str, pa.Table], machine: str = "") -> None:
+        """Writes rows that are tables already, as `gpcjax.sweep.rows.tables_of` makes them: one part, as it is."""
+        self._write(tables, machine or self._origin.machine)
+
     def _write(self, tables: Mapping[str, pa.Table], machine: str, replaces: Sequence[str] = ()) -> None:
         origin = self._origin._replace(machine=machine)
         files = {folder: sealed(tables[folder], folder, origin) for folder in BESIDE if folder in tables}

@@ -63,7 +63,9 @@ class Door:
 
         async def with_headers(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                told = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    told.setdefault(name, value)  # a page that is more than ours says what may run in it
             await send(message)
 
         if why_not is None:

@@ -646,6 +646,20 @@ def test_the_download_has_all_but_the_token(running):
     assert running.serving.token.encode() not in content
 
 
+def test_the_report_is_made_on_demand_and_runs_nothing(running):
+    cookie = f"gpcjax-experimenter={running.serving.token}"
+    status, _, told = running.asks("/experimenter/report", Cookie=cookie)
+    assert status == 503 and b"nobody has come yet" in told
+    page = running.client()
+    page.to_first_run()
+    assert running.asks("/experimenter/report")[0] == 403
+    status, headers, content = running.asks("/experimenter/report", Cookie=cookie)
+    assert status == 200 and b"No recorded run" in content and b"alpha" not in content
+    policy = headers["content-security-policy"]
+    assert "script" not in policy and policy.startswith("default-src 'none'; style-src 'unsafe-inline'")
+    assert headers["x-content-type-options"] == "nosniff" and (running.out / "analysis").is_dir()
+
+
 def test_no_address_of_anybody_is_kept(running):
     page = running.client()
     page.to_first_run()

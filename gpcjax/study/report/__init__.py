@@ -1,0 +1,1 @@
+"""`gpcjax study report`: the rows of a study, its tables and figures. Loads no jax."""
