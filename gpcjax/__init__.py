@@ -21,7 +21,7 @@
 switches jax to float64. `load_policy` loads no jax either; float64 is on there as soon as anything imports it.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PUBLIC = {
     "Controller": "gpcjax.policies.base:Controller",
