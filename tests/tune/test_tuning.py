@@ -55,7 +55,7 @@ def tuned(folder):
 
 
 def table(folder):
-    return pd.read_csv(folder / "tune.csv", float_precision="round_trip")
+    return pd.read_csv(folder / "tune.csv")
 
 
 def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
@@ -70,7 +70,9 @@ def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
     assert len(found) == 10 and list(found["area"]) == sorted(found["area"], reverse=True)
     assert (found["runs"] == 2).all() and found["tied"].iloc[0]
     best = tuned(tmp_path / "o")
-    assert best.hyperparameters["policy_length_scale"] == (found["policy_length_scale"][0],)
+    # Older versions of pandas read a number to its last bit but one.
+    first = found["policy_length_scale"][0]
+    assert best.hyperparameters["policy_length_scale"] == pytest.approx((first,), rel=1e-15)
     assert str(best.seeds) == "100-102" and best.episodes == 3
     page = (tmp_path / "o" / "tune.html").read_text()
     assert "GPC on Cart-pole, tuned" in page and "no difference shown" not in page
