@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpcjax.errors import UserError
+from gpcjax.study import participant
 from gpcjax.study.participant import CARD, Participant
 from gpcjax.study.register import ANALYSIS, PEOPLE, Refused, Register, read_people
 from tests.study.example import study_with
@@ -201,3 +202,26 @@ def test_the_time_is_kept_as_it_is_read(register):
     one = register.admit("a1")
     assert abs(datetime.fromisoformat(one.kept.seen).timestamp() - time.time()) < 60
     assert isinstance(Participant.read(one.folder, register.study), Participant)
+
+
+def test_what_a_lesson_is_just_replacing_is_waited_for(register, monkeypatch):
+    one = register.admit("alpha")
+    going = one.folder / "runs" / ".policy.old"
+    going.mkdir(parents=True)
+    synchronise, seen = participant._synchronise, []
+
+    def vanishing(path):
+        if path == going:
+            going.rmdir()
+        seen.append(path)
+        synchronise(path)
+
+    monkeypatch.setattr(participant, "_synchronise", vanishing)
+    monkeypatch.setattr(participant, "SEAL_APART", 0.0)
+    while one.step is not None:
+        step(one)
+    assert one.kept.state == "complete" and one.folder in seen and not going.exists()
+    monkeypatch.setattr(participant, "SEAL_TRIES", 1)
+    monkeypatch.setattr(participant, "_synchronise", lambda path: (going / "gone").stat())
+    with pytest.raises(FileNotFoundError):
+        one.seal()

@@ -51,7 +51,9 @@ def goes(participant, steps=None, answers=None):
                 participant.advance("run")
             case "questions":
                 values = {
-                    "scale": 1 + participant.kept.number % 6 + (step.run is not None and step.run.letter == "A"),
+                    "scale": 1
+                    + participant.kept.number % 6
+                    + (step.run is not None and step.run.letter == "A"),
                     "choice": "A",
                     "text": "a | *text* <b>",
                 }

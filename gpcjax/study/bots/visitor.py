@@ -141,6 +141,8 @@ class Visitor:
                 self._see(socket, message)
             case "advised":
                 self.outcome.learned += 1
+            case "gone" if "took over" in message["reason"]:
+                self.outcome.ended, self.outcome.text = "lost", "another page took over"
             case "problem":
                 self._try_again(socket, message["text"])
 
