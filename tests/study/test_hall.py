@@ -313,6 +313,14 @@ def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path):
         replayed(each.run.folder)
 
 
+def test_the_process_that_writes_may_die(hall, tmp_path):
+    page = Page(hall, tmp_path / "run", episodes=1).goes()
+    hall._clerk._process.kill()
+    page.wait("over")
+    assert len(gpcjax.load(page.run.folder)) == 1
+    page.gone()
+
+
 def test_garbage_and_a_page_that_fails_are_its_own_affair(hall, problems, tmp_path):
     other = Page(hall, tmp_path / "other").goes()
     page = Page(hall, tmp_path / "bad", seed=1).goes()
