@@ -3,7 +3,7 @@
 import io
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from types import TracebackType
 from typing import Any
@@ -28,7 +28,7 @@ def in_notebook() -> bool:
     return getattr(running, "kernel", None) is not None
 
 
-def usual_watcher() -> type[Watcher]:
+def usual_watcher() -> Callable[..., Watcher]:
     """Who shows how far a sweep is, where nobody says."""
     return Notebook if in_notebook() else Bar
 

@@ -273,7 +273,7 @@ def bar_in(console: Console) -> Progress:
     )
 
 
-def _fields(told: Told) -> dict[str, str]:
+def _fields(told: Told) -> dict[str, Any]:
     return {"cells": told.finished, "speed": told.speed, "left": told.left}
 
 
