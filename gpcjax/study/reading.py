@@ -191,7 +191,8 @@ def _episodes(table: Table, tasks: tuple[str, ...]) -> dict[str, int]:
     """Of each task: from one number, or from a table with one for each; without it the task's own."""
     source, value = table.source("episodes"), table.raw("episodes", None)
     if value is not None and not isinstance(value, dict):
-        return dict.fromkeys(tasks, checked(source, value, int, EPISODES))
+        number: int = checked(source, value, int, EPISODES)
+        return dict.fromkeys(tasks, number)
     for name in value or ():
         if name not in tasks:
             raise UserError(f"{source} {shown(name)} is no task of this study: give {', '.join(tasks)}")
