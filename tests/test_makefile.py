@@ -76,7 +76,10 @@ def test_every_variable_becomes_its_flag(folder):
 def test_other_targets(folder):
     assert make(folder, "report", "OUT=runs/my run").returncode == 0
     assert make(folder, "compare", "ARGS=runs/a 'runs/b c' --by algo", "OUT=c").returncode == 0
-    assert make(folder, "study", "SPEC=sweeps/study_thesis.toml", "OUT=runs/s", "ARGS=--places 8").returncode == 0
+    assert (
+        make(folder, "study", "SPEC=sweeps/study_thesis.toml", "OUT=runs/s", "ARGS=--places 8").returncode
+        == 0
+    )
     assert make(folder, "oracles").returncode == 0
     assert make(folder, "oracles", "ENV=pendulum").returncode == 0
     assert make(folder, "test", "ARGS=-k 'two words'").returncode == 0

@@ -191,16 +191,18 @@ def _episodes(table: Table, tasks: tuple[str, ...]) -> dict[str, int]:
     """Of each task: from one number, or from a table with one for each; without it the task's own."""
     source, value = table.source("episodes"), table.raw("episodes", None)
     if value is not None and not isinstance(value, dict):
-        return dict.fromkeys(tasks, checked(source, value, int, EPISODES))
+        number: int = checked(source, value, int, EPISODES)
+        return dict.fromkeys(tasks, number)
     for name in value or ():
         if name not in tasks:
             raise UserError(f"{source} {shown(name)} is no task of this study: give {', '.join(tasks)}")
-    given = {name: checked(f"{source} {name}", each, int, EPISODES) for name, each in (value or {}).items()}
+    found: dict[str, int] = {}
     for task in tasks:
-        usual = find("task", task).episodes
-        if given.setdefault(task, usual) is None:
+        each = (value or {}).get(task, find("task", task).episodes)
+        if each is None:
             raise UserError(f"{source} {task} is missing: the task has no usual number, give one")
-    return given
+        found[task] = checked(f"{source} {task}", each, int, EPISODES)
+    return found
 
 
 def _text(table: Table) -> str:

@@ -1,7 +1,6 @@
 """The reception of a study: pages come in, people sit down, the experimenter looks on. In the server's event loop."""
 
 import asyncio
-import functools
 import sys
 import time
 from collections import deque
@@ -58,12 +57,15 @@ class Reception:
         self._faults: deque[str] = deque(maxlen=MOST_FAULTS)
         self._clerk = ThreadPoolExecutor(1, "clerk")
         self._expired = time.monotonic()
+        self._mailbox: Mailbox | None = None
         self._ticking: asyncio.Task[None] | None = None
 
-    @functools.cached_property
+    @property
     def mailbox(self) -> Mailbox:
         """Of the event loop, in which it is first asked for."""
-        return Mailbox()
+        if self._mailbox is None:
+            self._mailbox = Mailbox()
+        return self._mailbox
 
     def fault(self, text: str) -> None:
         """Shows the experimenter what concerns no single participant, from any thread."""

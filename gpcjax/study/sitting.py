@@ -32,13 +32,17 @@ WAITING = "All places are taken at the moment. Please wait: you go on as soon as
 Say = Callable[[dict[str, Any] | bytes], None]
 
 
-class Reception(Protocol):
+class Surroundings(Protocol):
     """What a sitting needs of the server."""
 
     hall: "Hall"
     held: bool
     """Whether the experimenter has paused all."""
-    mailbox: Mailbox
+
+    @property
+    def mailbox(self) -> Mailbox:
+        """What seats say comes through it."""
+        ...
 
     def clerk(self, do: Callable[..., Any], *given: Any) -> Awaitable[Any]:
         """Does something on the disk, one thing after the other, in a thread of its own."""
@@ -57,7 +61,7 @@ class Sitting:
         reception: of the server.
     """
 
-    def __init__(self, participant: Participant, reception: Reception):
+    def __init__(self, participant: Participant, reception: Surroundings):
         self.participant, self._reception = participant, reception
         self.page: Page | None = None
         self.seat: Seat | None = None
@@ -82,6 +86,8 @@ class Sitting:
         """A page shows this participant from now on; another one is told so and closed."""
         if self.page is not None:
             self.page.close("took over")
+            if self.seat is not None:
+                self.seat.pause("connection")
         self.page, self.hidden = page, False
         self._log("here")
         async with self._lock:

@@ -3,13 +3,27 @@
 import threading
 from types import SimpleNamespace
 
+import gpcjax.study.hall  # noqa: F401  (as where a study runs: no page waits until it is loaded)
 from gpcjax.errors import UserError
 
 SECRETS = ("gpc", "coach", "learner", "folder", "learning", "sigma_human")
 
 TASK = {
     "type": "task",
-    "task": {"name": "cartpole", "label": "Cart-pole", "actions": [{"name": "force"}], "observations": []},
+    "task": {
+        "name": "cartpole",
+        "label": "Cart-pole",
+        "scene": "cartpole",
+        "hint": "",
+        "observations": [{"name": f"x{k}", "low": -2.4, "high": 2.4} for k in range(4)],
+        "actions": [
+            {
+                "name": "force",
+                "less": {"key": "left", "words": "push left"},
+                "more": {"key": "right", "words": "push right"},
+            }
+        ],
+    },
     "learner": {"name": "gpc", "label": "GPC", "settings": []},
     "learners": [{"name": "coach"}],
     "repeat": 8.0,

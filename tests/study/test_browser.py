@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.study.example import study_with
+from tests.study.test_server import Running
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
 
@@ -95,7 +98,70 @@ def until(true, seconds=60):
     return found
 
 
-@pytest.mark.parametrize("killed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_every_page(browser, tmp_path):
+    """With a hall that only listens: what is shown and pressed, on a phone, from the link to the code."""
+    running, complaints = Running(*study_with(tmp_path, '"pendulum", "cartpole"', '"cartpole"')), []
+    page = browser.new_page(viewport={"width": 375, "height": 740})
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.goto(f"{running.origin}/?survey_code=s1")
+    root = page.evaluate_handle("document.documentElement")
+
+    def at(kind):
+        until(lambda: root.evaluate("each => each.dataset.step") == kind)
+        assert root.evaluate("each => each.scrollWidth") <= 375
+
+    def begins():
+        page.locator("#card-button").click()
+        until(lambda: root.evaluate("each => each.dataset.phase") == "teaching")
+
+    at("consent")
+    page.get_by_role("button", name="I agree").click()
+    at("check")
+    page.get_by_role("button", name="Begin").click()
+    at("instructions")
+    page.get_by_role("button", name="trial").click()
+    at("trial")
+    assert "Press each key once" in page.inner_text("#card")
+    begins()
+    page.keyboard.press("ArrowLeft")
+    until(
+        lambda: (
+            "push right (1 more)" in page.inner_text("#needed") and "left" not in page.inner_text("#needed")
+        )
+    )
+    page.keyboard.press("d")
+    at("run")
+    for letter in "AB":
+        for phase in ("practice", "this one counts"):
+            until(lambda: f"learner {letter}, {phase}" in page.inner_text("#card"))  # noqa: B023
+            begins()
+            seat = running.seat()
+            page.keyboard.down("ArrowRight")
+            until(lambda: len(seat.presses) >= 2)  # noqa: B023
+            page.keyboard.up("ArrowRight")
+            page.keyboard.press("Space")
+            until(lambda: "Paused" in page.inner_text("#card"))
+            seat.over()
+            until(lambda: seat.left)  # noqa: B023
+        at("questions")
+        page.get_by_role("button", name="Send").click()
+        assert "Please answer" in page.inner_text("#sheet")
+        page.locator("input[value='6']").check(force=True)
+        page.get_by_role("button", name="Send").click()
+    until(lambda: page.locator("textarea").count())
+    page.fill("textarea", "<script>alert(1)</script>")
+    page.get_by_role("button", name="Send").click()
+    at("ended")
+    assert "C0FFEE" in page.inner_text("#sheet")
+    assert page.locator("#sheet a").get_attribute("href") == "https://example.org/back?who=s1"
+    page.close()
+    running.end()
+    assert complaints == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [False, True])
 def test_from_the_link_to_the_code(browser, tmp_path, killed):
     spec, out = tmp_path / "study.toml", tmp_path / "out"
     spec.write_text(TOML)

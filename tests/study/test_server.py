@@ -413,6 +413,16 @@ def test_a_second_page_may_take_over(running):
     assert page.closed() == {"type": "gone", "reason": "took over"}
 
 
+def test_a_run_rests_when_another_page_takes_over(running):
+    page = running.client()
+    page.to_first_run()
+    page.says("pause", on=False)
+    page.until("state", paused=False)
+    other = running.client(take=True)
+    assert other.until("state")["why"] == "connection"
+    assert page.closed()["type"] == "gone" and running.seat().paused
+
+
 def test_a_seat_that_is_left_is_given_to_others(make, monkeypatch):
     monkeypatch.setattr(sitting, "GRACE", 0.2)
     monkeypatch.setattr(sitting, "AGAIN", 0.1)
