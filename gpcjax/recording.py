@@ -17,7 +17,6 @@ Numbers are written with all their digits. What began in another program than th
 
 import contextlib
 import errno
-import itertools
 import json
 import math
 import os
@@ -135,7 +134,8 @@ class Deferred(Recording):
     def flush(self) -> None:
         """Writes all that was appended, and has it on the disk. Raises UserError: it cannot be written."""
         with self._flushing:
-            taken = list(itertools.islice(self._waiting, len(self._waiting)))
+            # By place: an iterator of a deque breaks when another thread appends, as may happen at any collection.
+            taken = [self._waiting[place] for place in range(len(self._waiting))]
             if not taken:
                 return
             self._write("".join(map(_line, taken)).encode())

@@ -262,8 +262,10 @@ class Hall:
     def _flush(self, seat: Seat) -> None:
         def flush() -> None:
             if seat.taught is not None and not seat.left:
-                self.writes(seat)
-                self._flush(seat)
+                try:
+                    self.writes(seat)
+                finally:  # a fault at one time is none for all that follow
+                    self._flush(seat)
 
         self._flushing.ask(f"{id(seat)}", flush, FLUSH_APART)
 

@@ -189,6 +189,25 @@ class TestDeferred:
         recording.flush()
         assert len(Recording.read(path)[1]) == 1
 
+    def test_what_is_appended_while_it_is_flushed_comes_with_the_next(self, tmp_path):
+        recording = Deferred.new(tmp_path / "record", {}, {})
+        end = {"event": "end", "episode": 0, "step": -1}
+
+        class Busy(type(recording._waiting)):
+            def __getitem__(self, place):
+                self.append(end)  # another thread does
+                return super().__getitem__(place)
+
+            def __iter__(self):
+                raise RuntimeError("deque mutated during iteration")
+
+        recording.flush()
+        recording._waiting = Busy()
+        recording.append(end)
+        recording.append(end)
+        recording.flush()
+        assert len(Recording.read(tmp_path / "record")[1]) == 2 and len(recording._waiting) == 2
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", [PLAIN, LATE], ids=["plain", "late"])

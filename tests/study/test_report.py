@@ -288,3 +288,24 @@ def test_choices_of_letters_count_the_learners_of_all_arms(tmp_path):
     (choice,) = asked_of(held := read_held(out, nothing), names_of(held)).choices
     assert set(choice.counts) == {*names_of(held).values(), "neither"}
     assert sum(choice.counts.values()) == 3 and choice.counts["neither"] == 0
+
+
+def test_an_episode_that_the_limit_of_time_cut_is_in_no_number(tmp_path, plain):
+    out, _ = study_of(tmp_path, ["one", "two"])
+    folder = next(out.glob("participants/p0002/runs/06-*"))
+    assert "cartpole" in folder.name
+    ends = [{"event": "note", "values": {"ended": why}} for why in ("over", "time")]
+    (folder / "session.jsonl").write_text("\n".join(map(json.dumps, [*ends, {"event": "end"}])) + "\n")
+    draw(out, nothing)
+    tables = frames(out)
+    (run,) = tables["runs"].query("is_cut").to_dict("records")
+    rows = tables["episodes"].query(f"participant == 2 and run == {run['run']}")
+    assert rows["is_cut"].tolist() == [False, True] and run["episodes"] == 2 and run["corrections"] == 6
+    assert run["area"] == run["final_return"] == rows["return"].iloc[0]
+    taught = {each.treatment.learner: each for each in numbers_of(read_held(out, nothing)).of("cartpole")}
+    assert (
+        np.isnan(taught[run["learner"]].curves[1, 1]) and not np.isnan(taught[run["learner"]].curves[0]).any()
+    )
+    assert taught[run["learner"]].scores("area").values[1] == run["area"]
+    (folder / "session.jsonl").write_text(json.dumps(ends[0]) + "\n" + json.dumps(ends[1])[:-4])
+    assert not any(run.is_cut for run in read_held(out, nothing).runs), "a last line that is half written"

@@ -62,12 +62,13 @@ PARTICIPANTS = _columns(
 
 RUNS = (
     *_RUN,
-    Column("episodes", "int32", "", "that were finished"),
+    Column("episodes", "int32", "", "that have ended"),
+    Column("is_cut", "bool", "", "whether the limit of time ended the last of these"),
     Column("steps", "int64", "steps", "in these"),
     Column("seconds", "float64", "s", "at the task, pauses not counted, in these"),
     Column("corrections", "int64", "", "advices that the learner took, of each action dimension, in these"),
-    Column("area", "float64", "the task's reward", "mean return of an episode"),
-    Column("final_return", "float64", "the task's reward", f"mean of the last {FINAL_EPISODES} episodes, or of all"),
+    Column("area", "float64", "the task's reward", "mean return of an episode, but for one that was cut"),
+    Column("final_return", "float64", "the task's reward", f"mean of the last {FINAL_EPISODES} of these, or of all"),
 )  # fmt: skip
 
 EPISODES = (
@@ -76,6 +77,12 @@ EPISODES = (
         ("episode", "int32", "", "from 1"),
         ("return", "float64", "the task's reward", "sum of rewards"),
         ("length", "int32", "steps", "until the episode ended"),
+        (
+            "is_cut",
+            "bool",
+            "",
+            "whether the run's limit of time ended it: its return is no return of an episode",
+        ),
         ("corrections", "int32", "", "advices that the learner took, of each action dimension"),
         ("advice_rate", "float64", "1/step", "corrections for each step"),
         ("mean_rate", "float64", "normalised action", "mean learning rate of these; null without any"),
@@ -127,7 +134,7 @@ are as participants have written them: look before you publish them.
 
 The files `NAME.parquet` hold the tables below. `rows/PHASE/TASK-LEARNER` (and -ARM where there are several) are run
 folders as those of a sweep, with one seed for each participant and repetition: `gpcjax.load` and
-`gpcjax.load_corrections` read them, `gpcjax compare` compares them.
+`gpcjax.load_corrections` read them, `gpcjax compare` compares them. They do not tell which episodes were cut.
 """
 
 

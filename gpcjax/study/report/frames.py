@@ -84,15 +84,16 @@ def _of_run(held: Held, run: RunRows) -> dict[str, Any]:
 
 
 def _run(held: Held, run: RunRows) -> dict[str, Any]:
-    returns, steps = (run.episodes.column(name).to_numpy() for name in ("return", "length"))
+    returns, steps = run.whole.column("return").to_numpy(), run.episodes.column("length").to_numpy()
     return {
         **_of_run(held, run),
-        "episodes": len(returns),
+        "episodes": run.episodes.num_rows,
+        "is_cut": run.is_cut,
         "steps": int(steps.sum()),
         "seconds": round(float(steps.sum()) * seconds_of(find("task", run.step.task)), 6),
         "corrections": int(run.episodes.column("corrections").to_numpy().sum()),
-        "area": float(returns.mean()),
-        "final_return": float(returns[-FINAL_EPISODES:].mean()),
+        "area": float(returns.mean()) if len(returns) else None,
+        "final_return": float(returns[-FINAL_EPISODES:].mean()) if len(returns) else None,
     }
 
 
@@ -100,7 +101,8 @@ def _episodes(held: Held, run: RunRows) -> Iterable[dict[str, Any]]:
     same = _of_run(held, run)
     known = {each.name for each in EPISODES} & set(run.episodes.column_names) - same.keys()
     for row in run.episodes.select(sorted(known)).to_pylist():
-        yield {**same, **row, "advice_rate": row["corrections"] / row["length"]}
+        is_cut = run.is_cut and row["episode"] == run.episodes.num_rows
+        yield {**same, **row, "advice_rate": row["corrections"] / row["length"], "is_cut": is_cut}
 
 
 def _answers(held: Held, one: Participant) -> Iterable[dict[str, Any]]:

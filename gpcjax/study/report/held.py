@@ -1,6 +1,7 @@
 """What a study's folder holds, read once: participants, their logs, and the rows of their runs. Loads no jax."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from gpcjax.errors import UserError
+from gpcjax.recording import RECORD
 from gpcjax.study.participant import ACTIVE, COMPLETE, LOG, Participant
 from gpcjax.study.register import read_folder, read_people
 from gpcjax.study.spec import Study
@@ -17,6 +19,9 @@ from gpcjax.study.steps import RunStep
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, MANIFEST, Say
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
+
+TAIL = 4096
+"""Bytes at the end of a recording among which its last episode's end is."""
 
 TRIES = 5
 """A run that is under way has its rows replaced: so often they are read again."""
@@ -35,11 +40,19 @@ class RunRows:
     manifest: Mapping[str, Any]
     machine: str
     """The kind of machine that computed it."""
+    is_cut: bool
+    """Whether the limit of time ended its last episode, before the task did."""
+
+    @property
+    def whole(self) -> pa.Table:
+        """The episodes that the task has ended: what a cut one returned is no return of an episode."""
+        return self.episodes.slice(0, self.episodes.num_rows - self.is_cut)
 
     @property
     def counts(self) -> bool:
-        """Whether it is in the numbers: complete, and of somebody who takes part or has done all."""
-        return self.complete and self.participant.kept.state in (ACTIVE, COMPLETE)
+        """Whether it is in the numbers: complete, with a whole episode, of somebody who takes part or has done all."""
+        some = self.complete and self.whole.num_rows > 0
+        return some and self.participant.kept.state in (ACTIVE, COMPLETE)
 
     @property
     def seed(self) -> int:
@@ -88,7 +101,7 @@ def _runs(one: Participant, say: Say) -> Iterator[RunRows]:
             continue
         rows = _rows(folder, say)
         if rows is not None:
-            yield RunRows(one, step.run, place < one.kept.step, *rows)
+            yield RunRows(one, step.run, place < one.kept.step, *rows, _is_cut(folder / RECORD))
 
 
 def _rows(folder: Path, say: Say) -> tuple[pa.Table, pa.Table, dict[str, Any], str] | None:
@@ -108,6 +121,24 @@ def _rows(folder: Path, say: Say) -> tuple[pa.Table, pa.Table, dict[str, Any], s
             return part.tables[EPISODES], part.tables[CORRECTIONS], manifest, machine
     say(f"{folder}: left out, {reason}; gpcjax replay says what of it can be made again")
     return None
+
+
+def _is_cut(record: Path) -> bool:
+    """Whether the last episode of a recording was ended by the limit of time, as its last lines say."""
+    try:
+        with open(record, "rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - TAIL))
+            lines = file.read().splitlines()
+    except OSError:
+        return False
+    for line in reversed(lines):
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(event, dict) and event.get("event") == "note" and "ended" in event.get("values", {}):
+            return event["values"]["ended"] == "time"
+    return False
 
 
 def _events(one: Participant) -> tuple[dict[str, Any], ...]:

@@ -73,11 +73,11 @@ class Taught:
 
 
 def curve(run: RunRows, name: str) -> Float[np.ndarray, "episodes"]:
-    """The returns of a run's episodes, or (`rate`) the corrections for each of their steps."""
+    """The returns of a run's whole episodes, or (`rate`) the corrections for each of their steps."""
     if name == "rate":
-        corrections, length = (run.episodes.column(each).to_numpy() for each in ("corrections", "length"))
+        corrections, length = (run.whole.column(each).to_numpy() for each in ("corrections", "length"))
         return corrections / length
-    return run.episodes.column(name).to_numpy().astype(np.float64)
+    return run.whole.column(name).to_numpy().astype(np.float64)
 
 
 def padded(curves: Sequence[Float[np.ndarray, "_"]]) -> Float[np.ndarray, "curves episodes"]:

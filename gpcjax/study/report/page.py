@@ -241,9 +241,10 @@ def _methods(held: Held) -> dict[str, str]:
     return {
         "Who counts": "Participants who have done all steps, and those who are still under way. Who left, failed the "
         "check or the trial, was stopped or did not come back in time is in the tables and in no number here.",
-        "Runs": "Recorded runs that are complete: by their last episode, or by the limit of time. Dummy runs are in "
-        "the tables alone. The runs of one participant are not independent of each other: they are averaged first, and "
-        "each participant counts once.",
+        "Runs": "Recorded runs that are complete: by their last episode, or by the limit of time. The "
+        "last episode of a run that the limit of time has cut is in no number but the corrections of a run. Dummy "
+        "runs are in the tables alone. The runs of one participant are not independent of each other: they are "
+        "averaged first, and each participant counts once.",
         "Intervals": f"95% intervals of a studentised bootstrap over participants ({RESAMPLES:,} resamples with a "
         "fixed random seed), never narrower than Student's t. Of the chance that the first is higher: exact binomial "
         "intervals (Clopper and Pearson).",
