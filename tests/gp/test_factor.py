@@ -440,7 +440,8 @@ def test_an_empty_dictionary():
     assert deviation == np.sqrt(1 + NOISE) and row[0] == 1 / deviation and not row[1:].any()
     first, _, _ = dense.learn(empty, 0, np.zeros(2))
     first = np.asarray(first)
-    assert first[0, 0] == 1 / np.sqrt(1 + NOISE)
+    # A processor may take the reciprocal root of another rounding.
+    np.testing.assert_allclose(first[0, 0], 1 / np.sqrt(1 + NOISE), rtol=4e-16)
     assert np.count_nonzero(first) == 1
     second, _, _ = dense.learn(first, 0, np.ones(2))
     assert_same_bits(second, first)

@@ -30,14 +30,14 @@ STUDIES = {name: (frame, manifest) for name, frame, manifest in golden.studies()
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_numbers_are_those_that_each_group_had_for_itself(name):
-    """To the bit but for the bounds of means, which a product of another width rounds differently."""
+    """Counts and words exactly, numbers but for rounding: sums and products are others on another processor."""
     found = golden.numbers(summarise(gather(*STUDIES[name])))
     known = json.loads(golden.NUMBERS.read_text())[name]
     assert found["runs"] == known["runs"]
     for table in ("summary", "differences"):
         assert list(found[table]) == list(known[table])
         for column, values in known[table].items():
-            if column.endswith(("_lower", "_upper")) and not column.startswith("episodes_to_90"):
+            if any(isinstance(value, float) for value in values):
                 assert [value is None for value in values] == [
                     value is None for value in found[table][column]
                 ]
