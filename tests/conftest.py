@@ -75,6 +75,7 @@ COMPILED_PLAINLY = (
     "engine/test_keeping.py",
     "engine/test_late.py",
     "engine/test_planner.py",
+    "engine/test_together.py",
     "engine/test_rollout.py",
     "engine/test_schedule.py",
     "engine/test_session.py",

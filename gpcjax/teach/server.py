@@ -107,6 +107,7 @@ def configuration(app: Any, longest: int) -> uvicorn.Config:
     """How every server of ours runs; `longest` is of the messages that are read, in bytes."""
     return uvicorn.Config(
         app,
+        log_config=None,  # its own closes the handlers of everybody, and with them, as absl has it, streams
         log_level="warning",
         access_log=False,
         server_header=False,

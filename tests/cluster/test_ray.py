@@ -33,6 +33,7 @@ def assert_same_rows(one, other):
         )
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_rows(tmp_path):
     """The one that is killed has made steps; its runs are begun again, or go on, elsewhere."""
     plain = sweep(tmp_path / "plain", **SETTINGS)

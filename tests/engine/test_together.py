@@ -28,7 +28,7 @@ CASES = {
     "d-coach": {"env": "pendulum", "algo": "d-coach"},
     "gpc two actions": {"env": "lunarlander", "algo": "gpc", "oracle": "heuristic"},
 }
-SLOW = set(CASES) - {"gpc", "coach"}
+SLOW = set(CASES) - {"gpc full"}
 
 
 def learned(settings):

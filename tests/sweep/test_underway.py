@@ -59,7 +59,13 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
     return out
 
 
-@pytest.fixture(scope="module", params=[HOST, COMPILED], ids=["on the host", "compiled"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(HOST, marks=pytest.mark.slow, id="on the host"),
+        pytest.param(COMPILED, id="compiled"),
+    ],
+)
 def case(request, tmp_path_factory):
     """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
     settings = request.param

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import json
+import logging
 import queue
 import socket
 import threading
@@ -15,7 +16,7 @@ from websockets.sync.client import connect
 from gpcjax.errors import UserError
 from gpcjax.teach import pages, room
 from gpcjax.teach.door import HEADERS
-from gpcjax.teach.server import PAGE, Serving, bound, is_local
+from gpcjax.teach.server import PAGE, Serving, bound, configuration, is_local
 
 LONG = 20.0
 
@@ -381,3 +382,18 @@ def test_a_port_in_use_is_said_or_the_next_one_taken():
 def test_a_host_that_is_none_is_said(host):
     with pytest.raises(UserError, match="--host"):
         bound(host, 0, 1)
+
+
+def test_logging_of_others_is_left_alone():
+    """uvicorn's own settings of logging close all handlers there are, and absl's closes its stream then."""
+    closed = []
+
+    class Watched(logging.NullHandler):
+        def close(self):
+            closed.append(self)
+            super().close()
+
+    handler = Watched()
+    configuration(lambda *asked: None, 1000)
+    assert not closed and not logging.getLogger("uvicorn").handlers
+    handler.close()
