@@ -15,7 +15,7 @@ from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
-SHIPPED = sorted(SWEEPS.glob("*.toml"))
+SHIPPED = sorted(path for path in SWEEPS.glob("*.toml") if not path.stem.startswith("study_"))
 GRIDS = [path.stem for path in SHIPPED if path.stem.startswith("grid_")]
 SOME = """
 env = "cartpole"
