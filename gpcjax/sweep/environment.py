@@ -27,8 +27,11 @@ XLA_OPTIONS = {
         # A sum over 64 x 64 numbers is not worth a call of YNNPACK, 8 us of what were 10 in a step's policies.
         "--xla_cpu_experimental_ynn_fusion_type=",
         # A loop whose arrays take less than this is compiled as one function; otherwise its steps are dispatched
-        # operation by operation, which costs more than they do.
-        "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=67108864",
+        # operation by operation, which costs more than they do. Such a function is large: LLVM, which the second of
+        # these is for, otherwise looks at all of it again after every change that it prepares.
+        "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=67108864,-cgpp-huge-func=100",
+        # A program of GPC-NS has some 250 small kernels, which by way of MLIR take twice the time and 200 MiB more.
+        "--xla_cpu_use_fusion_emitters=false",
     ),
 }
 """What XLA is told, by the version of jaxlib: it refuses to start with an option that it does not know.
