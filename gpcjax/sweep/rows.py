@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float, Int
 
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
@@ -17,6 +18,15 @@ IDENTITY = ("env", "algo", "oracle", "error", "seed")
 """Columns that every table begins with; those that vary come last."""
 
 _KINDS = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.int64())
+
+
+class Run(NamedTuple):
+    """What is told of a finished cell to whoever watches."""
+
+    cell: Cell
+    returns: Float[np.ndarray, "episodes"]
+    lengths: Int[np.ndarray, "episodes"]
+    """Steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +48,16 @@ class CellRows:
     """What was learned, where that is to be kept, in the order of episodes."""
     machine: str = ""
     """`gpcjax.sweep.machine.kind_of` the machine that computed it; empty for the one that stores it."""
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The one cell; see `gpcjax.sweep.blocks.Block`, which has several."""
+        return (self.cell,)
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The one run."""
+        return (Run(self.cell, self.episodes["returns"], self.episodes["length"]),)
 
 
 def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.Table]:

@@ -27,7 +27,7 @@ NONE = Orders()
 
 
 def rows_of(cell):
-    return CellRows(cell, np.array([1]), ["ok"], {"length": np.array([7])}, {})
+    return CellRows(cell, np.array([1]), ["ok"], {"returns": np.zeros(1), "length": np.array([7])}, {})
 
 
 class Good:

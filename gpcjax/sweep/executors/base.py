@@ -9,7 +9,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
                                  third entry {Cell: Place} where runs of these can go on
     ("machine", description)     computes on this machine (`gpcjax.sweep.machine.describe`): first of all, and only
                                  from another one than the desk's
-    ("rows", CellRows)           has finished a cell
+    ("rows", CellRows | Block)   has finished a cell, or some
     ("baseline", name, numbers)  has measured an idle policy or an expert
     ("progress", Totals)         has done so much so far; some times a second
     ("compiling", whether)       XLA begins with a program, or has it
@@ -28,6 +28,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
+from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.estimate import Work
 from gpcjax.sweep.keeping import Keeping
@@ -73,6 +74,8 @@ class Orders:
     """Between two checkpoints."""
     agree: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What runs must agree in to go on (`gpcjax.sweep.checkpoints.told`)."""
+    varying: tuple[str, ...] = ()
+    """Settings with more than one value in the folder that rows go to: they are columns of its tables."""
     places: Mapping[Cell, Place] = dataclasses.field(default_factory=dict)
     """Where runs can go on."""
 
@@ -130,7 +133,7 @@ class Desk:
         cells: what to run.
         baselines: (env, name) of idle policies and experts to measure, first.
         jobs: workers there may be.
-        on_rows: called with the rows of each finished cell.
+        on_rows: called with the rows of each finished cell, or of some at once.
         on_baseline: called with the name and the numbers of each baseline.
         on_progress: called with the totals, some times a second.
         on_note: called with each line that a worker has for the person.
@@ -144,7 +147,7 @@ class Desk:
         cells: Iterable[Cell],
         baselines: Iterable[tuple[str, str]],
         jobs: int,
-        on_rows: Callable[[CellRows], None],
+        on_rows: Callable[[CellRows | Block], None],
         on_baseline: Callable[[str, dict[str, float]], None],
         on_progress: Callable[[Totals], None],
         on_note: Callable[[str], None] = lambda line: None,
@@ -233,7 +236,7 @@ class Desk:
                 cells = self._sharing.next_cells(worker)
                 places = {cell: self._places[cell] for cell in cells if cell in self._places}
                 return ("cells", cells, places) if places else ("cells", cells)
-            case ("rows", CellRows() as rows):
+            case ("rows", CellRows() | Block() as rows):
                 self._take(rows, self._heard[worker].machine)
             case ("machine", dict() as described):
                 self._heard[worker].machine = kind_of(described)
@@ -264,15 +267,16 @@ class Desk:
             return ("baseline", *heard.baseline)
         return ("stop",)
 
-    def _take(self, rows: CellRows, machine: str) -> None:
+    def _take(self, rows: CellRows | Block, machine: str) -> None:
         if machine:
             rows = dataclasses.replace(rows, machine=machine)
-        if not self._sharing.back(rows.cell):
-            raise Failure(f"rows of a cell came that no worker has: {rows.cell}")
-        work = self._sharing.works[program_of(rows.cell)]
-        work.finished += 1
-        work.finished_steps += int(rows.episodes["length"].sum())
-        work.finished_episodes += len(rows.episode)
+        for cell, _, lengths in rows.runs:
+            if not self._sharing.back(cell):
+                raise Failure(f"rows of a cell came that no worker has: {cell}")
+            work = self._sharing.works[program_of(cell)]
+            work.finished += 1
+            work.finished_steps += int(lengths.sum())
+            work.finished_episodes += len(lengths)
         self._on_rows(rows)
 
     def _reckon(self, worker: int, progress: Totals) -> None:
