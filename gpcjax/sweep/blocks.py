@@ -4,6 +4,8 @@ Whoever hands out cells to thousands of machines has no time to make tables of w
 a row costs there. Tables travel as Arrow's own bytes, which are read without a copy.
 """
 
+import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +14,7 @@ import pyarrow as pa
 
 from gpcjax.sweep.layout import EPISODES
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.rows import CellRows, Run, tables_of
+from gpcjax.sweep.rows import CellRows, Run, counts_of, tables_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,13 +24,13 @@ class Block:
     | Field     | Meaning                                                                   |
     |-----------|---------------------------------------------------------------------------|
     | `cells`   | which                                                                     |
-    | `counts`  | episodes of each, whose rows follow each other in this order                |
+    | `counts`  | rows of each in each table, where they follow each other in this order      |
     | `tables`  | as `gpcjax.sweep.rows.tables_of` makes them, by the folder that each goes to |
     | `machine` | the kind of machine that computed it; empty for the one that stores it     |
     """
 
     cells: tuple[Cell, ...]
-    counts: tuple[int, ...]
+    counts: Mapping[str, tuple[int, ...]]
     tables: Mapping[str, pa.Table]
     machine: str = ""
 
@@ -38,10 +40,22 @@ class Block:
         episodes = self.tables[EPISODES]
         returns, lengths = (episodes.column(name).to_numpy() for name in ("return", "length"))
         first = 0
-        for cell, count in zip(self.cells, self.counts, strict=True):
+        for cell, count in zip(self.cells, self.counts[EPISODES], strict=True):
             last = first + count
             yield Run(cell, returns[first:last], lengths[first:last])
             first = last
+
+    def chosen(self, places: Sequence[int]) -> "Block":
+        """Of the cells in these places alone."""
+        tables = {}
+        for folder, table in self.tables.items():
+            counts = self.counts[folder]
+            starts = list(itertools.accumulate(counts, initial=0))
+            tables[folder] = pa.concat_tables([table.slice(starts[place], counts[place]) for place in places])
+        counts = {folder: tuple(each[place] for place in places) for folder, each in self.counts.items()}
+        return dataclasses.replace(
+            self, cells=tuple(self.cells[place] for place in places), counts=counts, tables=tables
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         packed = {folder: _packed(table) for folder, table in self.tables.items()}
@@ -55,8 +69,8 @@ def block_of(rows: Sequence[CellRows], varying: Sequence[str]) -> Block:
         rows: of each cell.
         varying: settings with more than one value in the folder that they go to.
     """
-    counts = tuple(len(row.episode) for row in rows)
-    return Block(tuple(row.cell for row in rows), counts, tables_of(rows, varying), rows[0].machine)
+    cells = tuple(row.cell for row in rows)
+    return Block(cells, counts_of(rows), tables_of(rows, varying), rows[0].machine)
 
 
 def _packed(table: pa.Table) -> pa.Buffer:
@@ -67,12 +81,17 @@ def _packed(table: pa.Table) -> pa.Buffer:
 
 
 def _unpacked(
-    cells: tuple[Cell, ...], counts: tuple[int, ...], packed: Mapping[str, pa.Buffer], machine: str
+    cells: tuple[Cell, ...],
+    counts: Mapping[str, tuple[int, ...]],
+    packed: Mapping[str, pa.Buffer],
+    machine: str,
 ) -> Block:
-    """Raises ValueError (Arrow's) for bytes that are none."""
+    """Raises ValueError (also Arrow's) where these do not fit together."""
     tables = {folder: pa.ipc.open_stream(buffer).read_all() for folder, buffer in packed.items()}
-    if len(cells) != len(counts) or tables[EPISODES].num_rows != sum(counts):
-        raise ValueError(
-            f"a block of {len(cells)} cells has {tables[EPISODES].num_rows} rows, not {sum(counts)}"
-        )
+    for folder, table in tables.items():
+        told = counts[folder]
+        if len(cells) != len(told) or table.num_rows != sum(told):
+            raise ValueError(
+                f"{folder} of a block of {len(cells)} cells: {table.num_rows} rows, not {sum(told)}"
+            )
     return Block(cells, counts, tables, machine)

@@ -71,6 +71,16 @@ def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.
     return {folder: _table(rows, varying, *make(rows)) for folder, make in makers.items()}
 
 
+def counts_of(rows: Sequence[CellRows]) -> dict[str, tuple[int, ...]]:
+    """How many rows of each of these tables are of each cell."""
+    counts = {
+        EPISODES: tuple(len(row.episode) for row in rows),
+        CORRECTIONS: tuple(len(row.corrections["where"]) for row in rows),
+        KEPT: tuple(len(row.kept) for row in rows),
+    }
+    return {folder: each for folder, each in counts.items() if folder != KEPT or any(each)}
+
+
 def correction_column(name: str) -> str:
     """The column of a varying setting beside corrections, whose `rate` is the learning rate."""
     return "advice_rate" if name == "rate" else name

@@ -100,5 +100,16 @@ def test_rows_among_other_words_become_one_block_before_them():
 
 def test_one_whose_rows_are_not_of_its_cells_is_refused():
     block = block_of([rows(cell) for cell in plan(SPEC)[:2]], ())
-    with pytest.raises(ValueError, match=r"^a block of 2 cells has 6 rows, not 5$"):
-        sent(dataclasses.replace(block, counts=(3, 2)))
+    counts = {**block.counts, "episodes": (3, 2)}
+    with pytest.raises(ValueError, match=r"^episodes of a block of 2 cells: 6 rows, not 5$"):
+        sent(dataclasses.replace(block, counts=counts))
+
+
+def test_some_of_its_cells_alone():
+    made, names = finished(plan(SPEC)), varying(SPEC)
+    some = sent(block_of(made, names)).chosen([1, 2, 3, 5])
+    expected = block_of([made[place] for place in (1, 2, 3, 5)], names)
+    assert some.cells == expected.cells and some.counts == expected.counts
+    for folder, table in expected.tables.items():
+        theirs = some.tables[folder].to_pandas()
+        pd.testing.assert_frame_equal(theirs, table.to_pandas(), check_exact=True)

@@ -166,6 +166,7 @@ class Desk:
         self._heard = [_Heard() for _ in range(self.workers)]
         self._done = Totals()
         """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
+        self._copies = False
         self._lock = threading.Lock()
 
     @property
@@ -205,6 +206,15 @@ class Desk:
             stopping.check()
             self._on_progress(self._totals())
 
+    def give_copies(self) -> None:
+        """From now on workers that have nothing left run what others have had for longest: for machines that differ."""
+        self._copies = True
+
+    def is_late(self, worker: int) -> bool:
+        """Whether all that this worker still has came from others: nobody needs to wait for it once all is done."""
+        with self._lock:
+            return self._sharing.is_late(worker)
+
     def lose(self, worker: int, places: Mapping[Cell, Place] = {}) -> None:
         """Take back what this worker had, which is gone, for others; for executors whose machines come and go.
 
@@ -237,7 +247,7 @@ class Desk:
                 places = {cell: self._places[cell] for cell in cells if cell in self._places}
                 return ("cells", cells, places) if places else ("cells", cells)
             case ("rows", CellRows() | Block() as rows):
-                self._take(rows, self._heard[worker].machine)
+                self._take(worker, rows, self._heard[worker].machine)
             case ("machine", dict() as described):
                 self._heard[worker].machine = kind_of(described)
                 self._on_machine(described)
@@ -265,19 +275,37 @@ class Desk:
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
             heard.baseline = self._measure.popleft()
             return ("baseline", *heard.baseline)
+        copy = self._sharing.next_copy(worker) if self._copies else None
+        if copy is not None:
+            heard.since = time.monotonic()
+            return ("program", copy, self._orders.of(copy))
         return ("stop",)
 
-    def _take(self, rows: CellRows | Block, machine: str) -> None:
+    def _take(self, worker: int, rows: CellRows | Block, machine: str) -> None:
         if machine:
             rows = dataclasses.replace(rows, machine=machine)
+        rows = self._first(worker, rows)
+        if rows is None:
+            return
         for cell, _, lengths in rows.runs:
-            if not self._sharing.back(cell):
-                raise Failure(f"rows of a cell came that no worker has: {cell}")
             work = self._sharing.works[program_of(cell)]
             work.finished += 1
             work.finished_steps += int(lengths.sum())
             work.finished_episodes += len(lengths)
         self._on_rows(rows)
+
+    def _first(self, worker: int, rows: CellRows | Block) -> CellRows | Block | None:
+        """Those of the rows that have not come from another worker before."""
+        new = []
+        for place, cell in enumerate(rows.cells):
+            try:
+                if self._sharing.back(worker, cell):
+                    new.append(place)
+            except KeyError:
+                raise Failure(f"rows of a cell came that its worker has not: {cell}") from None
+        if len(new) == len(rows.cells):
+            return rows
+        return rows.chosen(new) if new and isinstance(rows, Block) else None
 
     def _reckon(self, worker: int, progress: Totals) -> None:
         """Put what a worker has done since it was last heard, and the time, down to its program."""

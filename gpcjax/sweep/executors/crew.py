@@ -80,11 +80,12 @@ class Crew:
         self._told: dict[str, float] = {}
 
     def serve(self) -> None:
-        """Until all rows have come, and nobody is busy any more."""
+        """Until all rows have come, and nobody is busy any more but with what came from others."""
+        self._desk.give_copies()
         for number in range(self._desk.workers):
             self._hire(number)
         idle = time.monotonic()
-        while any(member.busy for member in self._members.values()) or not self._desk.done:
+        while not self._desk.done or any(map(self._is_awaited, self._members.values())):
             stopping.check()
             try:
                 member, future = self._heard.get(timeout=LOOK_SECONDS)
@@ -108,6 +109,9 @@ class Crew:
         for member in self._members.values():
             self._kill(member)
         self._members = {}
+
+    def _is_awaited(self, member: Member) -> bool:
+        return member.busy and not self._desk.is_late(member.number)
 
     def _at_work(self) -> bool:
         return any(member.machine is not None for member in self._members.values())
