@@ -13,7 +13,7 @@ from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune import toml
 from gpcjax.tune.found import found_in
 from gpcjax.tune.objectives import OBJECTIVES
-from gpcjax.tune.space import Values
+from gpcjax.tune.space import Space, Values
 
 OBJECTIVE = OBJECTIVES["final_return"]
 """What a report of a grid calls the best point by."""
@@ -45,7 +45,7 @@ def write_best(out: Path, spec: SweepSpec) -> list[Path]:
     written = []
     for algo in spec.algo:
         axes = axes_of(spec, algo)
-        space = {name: Values(values) for name, values in axes.items() if len(values) > 1}
+        space: Space = {name: Values(values) for name, values in axes.items() if len(values) > 1}
         if not space:
             continue
         try:

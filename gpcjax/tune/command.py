@@ -111,7 +111,7 @@ def wishes_of(arguments: argparse.Namespace, settings: Mapping[str, Given | Unch
             raise UserError(f"{path}: [{TABLE}] search is no table: begin one with a line [{TABLE}.search]")
         look = Given(space.of_table(looked, f"{source} "), source)
     given = {} if path is None else read_toml(path, arguments.quick, TABLE)
-    return checked(own, look, given | settings, conditions(arguments.where), cores, arguments.json)
+    return checked(own, look, {**given, **settings}, conditions(arguments.where), cores, arguments.json)
 
 
 def checked(

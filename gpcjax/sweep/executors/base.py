@@ -284,15 +284,15 @@ class Desk:
     def _take(self, worker: int, rows: CellRows | Block, machine: str) -> None:
         if machine:
             rows = dataclasses.replace(rows, machine=machine)
-        rows = self._first(worker, rows)
-        if rows is None:
+        first = self._first(worker, rows)
+        if first is None:
             return
-        for cell, _, lengths in rows.runs:
+        for cell, _, lengths in first.runs:
             work = self._sharing.works[program_of(cell)]
             work.finished += 1
             work.finished_steps += int(lengths.sum())
             work.finished_episodes += len(lengths)
-        self._on_rows(rows)
+        self._on_rows(first)
 
     def _first(self, worker: int, rows: CellRows | Block) -> CellRows | Block | None:
         """Those of the rows that have not come from another worker before."""
