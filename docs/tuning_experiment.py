@@ -95,8 +95,8 @@ def cases() -> tuple[Case, ...]:
         Case("mountaincar", "gpc-ns", seeds=20),
         Case("pendulum", "gpc"),
         Case("pendulum", "gpc-ns", seeds=40),
-        Case("lunarlander", "gpc", seeds=20, fitted=10, more={**LANDER, "episodes": 60}),
-        Case("lunarlander", "gpc-ns", seeds=12, fitted=8, takes=alone, more={**LANDER, "episodes": 30}),
+        Case("lunarlander", "gpc", seeds=16, fitted=8, more={**LANDER, "episodes": 40}),
+        Case("lunarlander", "gpc-ns", seeds=8, fitted=6, takes=alone, more={**LANDER, "episodes": 20}),
     )
 
 
