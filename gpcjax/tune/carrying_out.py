@@ -25,7 +25,7 @@ from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
-from gpcjax.tune.check import CHECK, checked_on, differing
+from gpcjax.tune.check import CHECK, checked_on, differing, of_objectives
 from gpcjax.tune.command import STATE, Wishes, grid_spec
 from gpcjax.tune.figure import drawn
 from gpcjax.tune.found import Found, found_in
@@ -88,6 +88,8 @@ def carried_out(wishes: Wishes) -> Result:
             write_atomic(out / name, text)
         comparison = checked_on(outcome.usual, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
         said = page.verdict(comparison, wishes.check.words)
+        if comparison is not None and wishes.method != "mll":
+            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], out)
         commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
         if comparison is not None:
             folders = [str(out / CHECK / each.name) for each in comparison.folders]

@@ -118,6 +118,11 @@ def test_a_front(workers, tmp_path, capsys):
     words = [*WORDS, *SEARCH, "--trials", "8", "--objective", "area,corrections"]
     assert cli.main(words) == 0
     found = table(tmp_path / "o")
+    used = 3 * round(10 * found["policy_length_scale"][0])  # of a run; the usual one has 20 in each episode
+    told = re.search(
+        r"corrections on the same seeds: (\S+) tuned, 60.0 usual; tuned .* (\S+) \[", capsys.readouterr().out
+    )
+    assert told and [float(number) for number in told.groups()] == [used, used - 60]
     on = found[found["front"]]
     assert found["front"].iloc[0] and 1 <= len(on) < len(found)
     for _, each in found.iterrows():
