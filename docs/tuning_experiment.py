@@ -4,21 +4,25 @@
 
 In each case runs of a learner on a task are kept, on seeds from 1000 on; kernels are fitted by marginal likelihood to
 what these had learned; and runs on other seeds, with what was fitted and without it, are compared one by one. `--run`
-runs what FOLDER does not hold yet of the cases that are named, or of all. Then all that is there is compared and drawn.
+runs what FOLDER does not hold yet of the cases that are named, or of all. What is there takes the place of its lines in
+docs/tuning_mll.csv, and all of these are drawn.
 """
 
 import argparse
 import dataclasses
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+import pandas as pd
 
 import gpcjax
 from gpcjax.report import words
 from gpcjax.report.statistics import Interval, Scores, paired_difference
+from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.tune.flags import TAKEN
@@ -26,8 +30,13 @@ from gpcjax.tune.flags import TAKEN
 LAST = 5
 """Episodes of the final return, as in reports."""
 
-TAKES = {"length-scales": TAKEN[:1], "all": TAKEN}
-"""What is taken of a fit, by its name."""
+TAKES = ("length-scales", "all")
+"""What is taken of a fit."""
+
+RECORDED, FIGURE = (Path(__file__).with_name(f"tuning_mll.{kind}") for kind in ("csv", "png"))
+
+STARTS, POINTS, SETTINGS = 3, 128, "settings.json"
+"""Of a fit: from how many sets of numbers, how many points of a dictionary, and the file of what it came to."""
 
 LANDER = {"oracle": "heuristic", "rate": 0.05}
 """As in the thesis's Figure 5.5."""
@@ -52,8 +61,8 @@ class Case:
     task: str
     algo: str
     seeds: int = 100
-    fitted: int = 20
-    takes: tuple[str, ...] = tuple(TAKES)
+    fitted: int = 12
+    takes: tuple[str, ...] = TAKES
     begin: str = ""
     kernels: dict[str, Any] = dataclasses.field(default_factory=dict)
     more: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -109,11 +118,30 @@ def run(case: Case, below: Path, jobs: int) -> None:
     teach = {**case.settings, "seeds": f"1000-{999 + case.fitted}"}
     gpcjax.run_sweep(out=kept, keep="states", jobs=jobs, **teach)
     gpcjax.run_sweep(out=before, seeds=case.seeds, jobs=jobs, **case.settings)
+    found = below / f"{case.name}-fit"
+    if not (found / SETTINGS).exists():
+        fitted = by_likelihood(kept, found, take=TAKEN, seeds=seeds, starts=STARTS, points=POINTS)
+        write_atomic(found / SETTINGS, json.dumps(dict(fitted.settings)))
+    fit = json.loads((found / SETTINGS).read_text())
     for take in case.takes:
-        out = below / f"{case.name}-{take}"
-        fitted = by_likelihood(kept, out.with_name(f"{out.name}-fit"), take=TAKES[take], seeds=seeds)
-        settings = {**case.settings, **fitted.settings, "seeds": case.seeds}
-        gpcjax.run_sweep(out=out, jobs=jobs, **settings)
+        taken = {name: value for name, value in fit.items() if take == "all" or is_length(name)}
+        settings = {**case.settings, **taken, "seeds": case.seeds}
+        gpcjax.run_sweep(out=below / f"{case.name}-{take}", jobs=jobs, **settings)
+
+
+def is_length(name: str) -> bool:
+    """Whether a setting is a length-scale, or what makes one of each input."""
+    return name.endswith(("length_scale", "scaling"))
+
+
+_NUMBERS = ("", "_lower", "_upper")
+COLUMNS = [
+    "task",
+    "runs",
+    *(f"{name}{end}" for name in ("area", "final_return") for end in _NUMBERS),
+    "pairs",
+]
+"""Of the file of all comparisons."""
 
 
 class Row(NamedTuple):
@@ -148,11 +176,27 @@ def compared(below: Path) -> list[Row]:
     return rows
 
 
+def recorded(new: Sequence[Row], file: Path) -> list[Row]:
+    """The lines of the file, with these in the place of theirs; it is written anew."""
+    found = {(row.task, row.label): row for row in new}
+    rows = []
+    for each in pd.read_csv(file).itertuples(index=False):
+        task, label, *numbers, pairs = each
+        old = Row(task, label, Interval(*numbers[:3]), Interval(*numbers[3:]), int(pairs))
+        rows.append(found.pop((task, label), old))
+    rows += found.values()
+    order = [(case.task, case.label(take)) for case in cases() for take in case.takes]
+    rows.sort(key=lambda row: order.index((row.task, row.label)))
+    lines = [(row.task, row.label, *row.area, *row.final, row.pairs) for row in rows]
+    write_atomic(file, pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False, float_format="%.5g"))
+    return rows
+
+
 def table(rows: Sequence[Row]) -> str:
     """The comparisons, Markdown."""
 
     def told(each: Interval) -> str:
-        return f"{each.estimate:.3g} [{each.lower:.3g}, {each.upper:.3g}]"
+        return words.interval(each, words.places(each))
 
     lines = ["| task | learner: what was taken | area | final return | pairs |", "|---|---|---|---|---|"]
     for row in rows:
@@ -206,10 +250,9 @@ def main() -> None:
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
     for name in (wishes.cases or known) if wishes.run else ():
         run(known[name], wishes.folder, wishes.jobs)
-    rows = compared(wishes.folder)
+    rows = recorded(compared(wishes.folder), RECORDED)
     print(table(rows))
-    if rows:
-        draw(rows, Path(__file__).with_name("tuning_mll.png"))
+    draw(rows, FIGURE)
 
 
 if __name__ == "__main__":
