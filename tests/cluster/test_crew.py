@@ -105,7 +105,7 @@ def served(hire, jobs=1, orders=NONE, cells=CELLS):
 def test_cells_of_a_worker_that_is_lost_go_to_another_one():
     got, notes, _, fake = served(lambda number: Good(most=2 if number == 0 else 99))
     assert sorted(rows.cell.seed for rows in got) == [0, 1, 2, 3]
-    assert len(fake.actors) == 2 and fake.killed == [fake.actors[0]]
+    assert len(fake.actors) == 2 and set(fake.killed) == set(fake.actors)  # also who has cleared up
     (note,) = notes
     assert note.startswith(f"a worker on {HERE.name} is lost") and note.endswith(
         "(a worker process was killed)"
@@ -127,14 +127,14 @@ def test_one_that_is_lost_again_and_again_ends_the_sweep():
 
 def test_workers_that_find_no_machine_are_not_waited_for():
     got, _, _, fake = served(lambda number: Good() if number == 1 else Waiting(), jobs=3)
-    assert len(got) == 4 and len(fake.killed) == 2
+    assert len(got) == 4 and len(fake.killed) == 3
 
 
 def test_what_a_machine_that_hangs_had_runs_elsewhere_too():
     many = plan(spec_of(env="cartpole", algo="coach", seeds=2 * JOIN, oracle="lqr"))
     got, notes, _, fake = served(lambda number: Good() if number else Hanging(), jobs=2, cells=many)
     assert sorted(rows.cell.seed for rows in got) == list(range(2 * JOIN)) and not notes
-    assert len(fake.actors) == 2 and fake.killed == [fake.actors[0]]
+    assert len(fake.actors) == 2 and set(fake.killed) == set(fake.actors)  # also who has cleared up
 
 
 def test_rows_that_come_twice_count_once():
