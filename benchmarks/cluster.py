@@ -27,7 +27,7 @@ import numpy as np
 
 from gpcjax.sweep.executors import Desk, Ray, crew
 from gpcjax.sweep.executors.base import ASKS, Message
-from gpcjax.sweep.executors.remote import place
+from gpcjax.sweep.executors.remote import place, together
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.run import run
@@ -66,7 +66,7 @@ class Answering:
             case ("program", *_):
                 return [("next",)]
             case ("cells", [_, *_] as cells, *_):
-                return [*(("rows", recorded(cell)) for cell in cells), ("next",)]
+                return [*together([("rows", recorded(cell)) for cell in cells], ()), ("next",)]
             case ("baseline", _, name):
                 return [("baseline", name, {"mean": 0.0, "std": 1.0, "n": 100}), ("ready",)]
         return [("ready",)]

@@ -10,7 +10,8 @@ differ in speed, and some are much slower: a sweep ends with its last cell.
 | Cost           | s       | from                                                                                  |
 |----------------|---------|---------------------------------------------------------------------------------------|
 | `CALL`         | 0.0015  | `benchmarks.cluster block`: what a block takes in a real Ray beside its cells           |
-| `CELL`         | 0.00035 | `benchmarks.cluster driver`: unpickling, the desk, Arrow and Parquet, for one cell      |
+| `CELL`         | 0.00012 | `benchmarks.cluster driver`: unpickling, the desk and Parquet, for one cell             |
+| `TABLES`       | 0.00035 | the same where the driver makes the tables of rows, as it did before                    |
 | `LOOK`         | 2e-8    | what one report of progress took for each worker, as long as all were summed up         |
 | `START`        | 6.0     | an actor and its process, until jax is there                                           |
 | `COMPILE`      | 11.0    | gpc-ns, the slowest of the thesis's learners (`gpcjax.sweep.costs`)                    |
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-CALL, CELL, LOOK = 1.5e-3, 3.5e-4, 2e-8
+CALL, CELL, TABLES, LOOK = 1.5e-3, 1.2e-4, 3.5e-4, 2e-8
 START, COMPILE = 6.0, 11.0
 SPREAD = 0.1
 """Of the speeds of machines: standard deviation of the logarithm."""
@@ -45,11 +46,12 @@ class Way:
     """Whether each report goes through all workers, as it did before their sums were kept up."""
     batch: int = BATCH
     cell: float = CELL
+    call: float = CALL
 
     def load(self, machines: int) -> float:
         """The part of the driver's time that reports of progress take."""
         rate = 2.0 * machines if self.each else min(self.reports, 2.0 * machines)
-        return rate * (CALL + (LOOK * machines if self.summed else 0.0))
+        return rate * (self.call + (LOOK * machines if self.summed else 0.0))
 
 
 NOW = Way("as it is")
@@ -57,8 +59,9 @@ WAYS = (
     Way("each report summed over all workers, two a second of each", each=True, summed=True),
     Way("two reports a second of each worker", each=True),
     Way("a call for every cell", batch=1),
+    Way("tables of rows made by the driver", cell=TABLES),
     NOW,
-    Way("cells at half the driver's cost", cell=CELL / 2),
+    Way("calls at half their cost", call=CALL / 2),
 )
 
 
@@ -88,7 +91,7 @@ def simulate(machines: int, cells: int, seconds: float, way: Way = NOW, seed: in
     heapq.heapify(events)
     while events:
         now, number, done = heapq.heappop(events)
-        service = (CALL + way.cell * done) / free
+        service = (way.call + way.cell * done) / free
         driver = max(driver, now) + service
         worked += service * free
         if done:

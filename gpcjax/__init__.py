@@ -13,6 +13,7 @@
 | keep what was learned      | `save_policy`, `load_policy`, `export_policy`, `save_learner`, `load_learner`   |
 | run many, and read them    | `run_sweep`, `load`, `load_corrections`, `load_policies`, `load_states`         |
 | see what came of it        | `draw_report`, `compare`                                                        |
+| search hyperparameters     | `run_tuning`                                                                    |
 | write a task               | `Env` with its `State`, `HostEnv`, `parameter`                                  |
 | write a learner, a teacher | `Learner`, `Controller`; `Teacher`, `Moment`, `Oracle`                          |
 | describe one               | `TaskSpec`, `View`, `Control`; `LearnerSpec`, `TeacherSpec`, `Setting`          |
@@ -61,6 +62,7 @@ _PUBLIC = {
     "make_oracle": "gpcjax.sweep.build:make_oracle",
     "parameter": "gpcjax.envs.base:parameter",
     "run_sweep": "gpcjax.sweep.run:sweep",
+    "run_tuning": "gpcjax.tune.run:tune",
     "save_learner": "gpcjax.learners.saved:save_learner",
     "save_policy": "gpcjax.learners.saved:save_policy",
     "teacher_names": "gpcjax.registry:teacher_names",
@@ -84,6 +86,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "save_learner",
     "load_learner",
     "run_sweep",
+    "run_tuning",
     "draw_report",
     "compare",
     "load",
@@ -138,6 +141,7 @@ if TYPE_CHECKING:
     from gpcjax.sweep.run import sweep as run_sweep
     from gpcjax.teachers.base import Teacher
     from gpcjax.teachers.oracle import Oracle
+    from gpcjax.tune.run import tune as run_tuning
 
 
 def __getattr__(name: str) -> object:

@@ -138,7 +138,7 @@ def count(spec: SweepSpec) -> int:
         UserError: more than a million.
     """
     each = len(spec.seeds) * len(spec.oracle) * len(spec.error) * len(spec.delta) * len(spec.rate)
-    points = {algo: math.prod(map(len, _axes(spec, algo).values())) for algo in spec.algo}
+    points = {algo: math.prod(map(len, axes_of(spec, algo).values())) for algo in spec.algo}
     cells = sum(each * number * len(joint_of(spec, algo)) for algo, number in points.items())
     if cells > LARGEST:
         raise UserError(f"{cells:,} cells: give fewer seeds or values, {LARGEST:,} cells are allowed")
@@ -190,14 +190,15 @@ def joint_of(spec: SweepSpec, algo: str) -> tuple[Point, ...]:
     return cut(spec.points, names)
 
 
-def _axes(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
+def axes_of(spec: SweepSpec, algo: str) -> dict[str, tuple[float, ...]]:
+    """The hyperparameters of a specification that concern a learner, by name, each with all its values."""
     learner, teacher = find("learner", algo), find("teacher", spec.teacher)
     named = spec.hyperparameters.items()
     return {name: values for name, values in named if concerns(name, learner, teacher)}
 
 
 def _points(spec: SweepSpec, algo: str) -> list[Point]:
-    axes = _axes(spec, algo)
+    axes = axes_of(spec, algo)
     return [
         (*zip(axes, values, strict=True), *point)
         for point in joint_of(spec, algo)

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float, Int
 
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
@@ -17,6 +18,15 @@ IDENTITY = ("env", "algo", "oracle", "error", "seed")
 """Columns that every table begins with; those that vary come last."""
 
 _KINDS = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.int64())
+
+
+class Run(NamedTuple):
+    """What is told of a finished cell to whoever watches."""
+
+    cell: Cell
+    returns: Float[np.ndarray, "episodes"]
+    lengths: Int[np.ndarray, "episodes"]
+    """Steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +49,16 @@ class CellRows:
     machine: str = ""
     """`gpcjax.sweep.machine.kind_of` the machine that computed it; empty for the one that stores it."""
 
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The one cell; see `gpcjax.sweep.blocks.Block`, which has several."""
+        return (self.cell,)
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The one run."""
+        return (Run(self.cell, self.episodes["returns"], self.episodes["length"]),)
+
 
 def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.Table]:
     """The tables of a part with the rows of some cells, by the folder that each goes to."""
@@ -49,6 +69,16 @@ def tables_of(rows: Sequence[CellRows], varying: Sequence[str]) -> dict[str, pa.
     if any(row.kept for row in rows):
         makers[KEPT] = _kept
     return {folder: _table(rows, varying, *make(rows)) for folder, make in makers.items()}
+
+
+def counts_of(rows: Sequence[CellRows]) -> dict[str, tuple[int, ...]]:
+    """How many rows of each of these tables are of each cell."""
+    counts = {
+        EPISODES: tuple(len(row.episode) for row in rows),
+        CORRECTIONS: tuple(len(row.corrections["where"]) for row in rows),
+        KEPT: tuple(len(row.kept) for row in rows),
+    }
+    return {folder: each for folder, each in counts.items() if folder != KEPT or any(each)}
 
 
 def correction_column(name: str) -> str:

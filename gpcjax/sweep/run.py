@@ -9,6 +9,7 @@ from typing import Any
 from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
+from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
@@ -152,6 +153,7 @@ def run(
                 checkpoints=str((out / CHECKPOINTS).absolute()),
                 seconds=checkpoint,
                 agree=agree,
+                varying=tuple(manifest["varying"]),
                 places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
             sweep = _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher)
@@ -241,7 +243,7 @@ class _Sweep:
         self._store, self._missing = store, missing
         self._earlier = {name: manifest[name] for name in _ACCUMULATED}
         self._began = self._flushed = time.monotonic()
-        self._rows: list[CellRows] = []
+        self._rows: list[CellRows | Block] = []
         self._totals = Totals()
         self._finished, self._executor = 0, executor
         self._sofar = SoFar(missing, manifest["varying"])
@@ -288,10 +290,11 @@ class _Sweep:
         ]
         return [(self._spec.env, name) for name in names]
 
-    def _collect(self, rows: CellRows) -> None:
+    def _collect(self, rows: CellRows | Block) -> None:
         self._rows.append(rows)
-        self._finished += 1
-        self._sofar.add(rows)
+        for run in rows.runs:
+            self._finished += 1
+            self._sofar.add(run)
         if time.monotonic() - self._flushed > FLUSH_SECONDS:
             self._flush()
 

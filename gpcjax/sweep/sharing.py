@@ -1,5 +1,6 @@
 """Which worker gets which cells, and in what order. Pure: no process, no clock, no jax."""
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
@@ -22,6 +23,9 @@ class Sharing:
     their order, each to a worker of its own; a worker that finds none left joins the one with most cells to do, where
     they are worth compiling it once more.
 
+    Where machines differ, one that has nothing left takes copies of what another one has had for longest: nobody waits
+    for a slow one, or for one that hangs. The rows that come first count.
+
     Args:
         cells: what is to run.
         workers: how many there are; they are named by their numbers from 0 on.
@@ -38,8 +42,12 @@ class Sharing:
         """The program that each worker has."""
         self._given: dict[int, int] = {}
         """Cells of this program that it has been given."""
-        self._out: dict[Cell, int] = {}
-        """Cells that are not back yet, and who has them."""
+        self._out: dict[Cell, list[int]] = {}
+        """Cells that are not back yet, the oldest first, and who has them: two where one has a copy."""
+        self._copies: dict[int, deque[Cell]] = {}
+        """Of what a worker is to take copies, in the place of cells that nobody has."""
+        self._late: dict[int, set[Cell]] = {}
+        """Cells that a worker still has, and another one has brought back."""
         self._stepping: set[int] = set()
         """Workers that have made a step in their programs."""
         self.works = works_of(self._sizes, before(self._sizes))
@@ -63,15 +71,42 @@ class Sharing:
         if not free and not shared:
             return None
         program = free[0] if free else max(shared, key=lambda key: len(self._left[key]))
+        self._turn(worker, program)
+        return self._left[program][0]
+
+    def next_copy(self, worker: int) -> Cell | None:
+        """The same, where this worker finds nothing left: of what another one has; None if all has a copy by now.
+
+        `next_cells` gives it these cells then: those of the program, and the worker, whose turn was longest ago.
+        """
+        self.leave(worker)
+        alone = {cell: holders[0] for cell, holders in self._out.items() if len(holders) == 1}
+        alone = {cell: holder for cell, holder in alone.items() if holder != worker}
+        if not alone:
+            return None
+        oldest, slow = next(iter(alone.items()))
+        program = program_of(oldest)
+        same = (cell for cell, holder in alone.items() if holder == slow and program_of(cell) == program)
+        self._copies[worker] = deque(itertools.islice(same, BATCH))
+        self._turn(worker, program)
+        return oldest
+
+    def _turn(self, worker: int, program: Program) -> None:
+        """Note that this worker turns to a program."""
         self._at[worker], self._given[worker] = program, 0
         work = self.works[program]
         work.workers += 1
         work.starting += 1
         work.joined += 1
-        return self._left[program][0]
 
     def next_cells(self, worker: int) -> list[Cell]:
         """The next cells of the program of this worker, none if there are no more."""
+        if worker in self._copies:
+            taken = [cell for cell in self._copies[worker] if cell in self._out]  # some may be back by now
+            self._copies[worker].clear()
+            for cell in taken:
+                self._out[cell].append(worker)
+            return taken
         program = self._at[worker]
         cells = self._left[program]
         share = min(max(1, min(BATCH, len(cells) // (4 * self._workers))), len(cells))
@@ -81,7 +116,7 @@ class Sharing:
         self._given[worker] += share
         self.works[program].begun += share
         taken = [cells.popleft() for _ in range(share)]
-        self._out |= dict.fromkeys(taken, worker)
+        self._out |= {cell: [worker] for cell in taken}
         return taken
 
     def steps(self, worker: int) -> None:
@@ -90,12 +125,27 @@ class Sharing:
             self._stepping.add(worker)
             self.works[self._at[worker]].starting -= 1
 
-    def back(self, cell: Cell) -> bool:
-        """Note that the rows of this cell have come; False if nobody has it, as they came before."""
-        return self._out.pop(cell, None) is not None
+    def back(self, worker: int, cell: Cell) -> bool:
+        """Note that the rows of this cell have come; False if those of a copy came before.
+
+        Raises:
+            KeyError: this worker has no such cell.
+        """
+        if worker in self._out.get(cell, ()):
+            for other in self._out.pop(cell):
+                if other != worker:
+                    self._late.setdefault(other, set()).add(cell)
+            return True
+        self._late.get(worker, set()).remove(cell)
+        return False
+
+    def is_late(self, worker: int) -> bool:
+        """Whether this worker still has cells that another one has brought back."""
+        return bool(self._late.get(worker))
 
     def leave(self, worker: int) -> None:
         """Note that this worker is no longer at its program."""
+        self._copies.pop(worker, None)
         program = self._at.pop(worker, None)
         if program is not None:
             self.works[program].workers -= 1
@@ -103,9 +153,16 @@ class Sharing:
         self._stepping.discard(worker)
 
     def lose(self, worker: int) -> list[Cell]:
-        """Note that this worker is gone: its cells, which are given, go to others, first of all."""
+        """Note that this worker is gone: its cells, which are given, go to others, first of all.
+
+        A cell of which another one has a copy stays with that.
+        """
         self.leave(worker)
-        lost = [cell for cell, holder in self._out.items() if holder == worker]
+        self._late.pop(worker, None)
+        held = [cell for cell, holders in self._out.items() if worker in holders]
+        for cell in held:
+            self._out[cell].remove(worker)
+        lost = [cell for cell in held if not self._out[cell]]
         for cell in reversed(lost):
             del self._out[cell]
             program = program_of(cell)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from gpcjax.sweep.growth import setting_of
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.rows import CellRows
+from gpcjax.sweep.rows import Run
 
 FINAL_EPISODES = 5
 """The last episodes of a run, whose mean is its final return: here and in reports."""
@@ -88,11 +88,11 @@ class SoFar:
             return None
         return Range(min(curve.min() for curve in curves), max(curve.max() for curve in curves))
 
-    def add(self, rows: CellRows) -> None:
+    def add(self, run: Run) -> None:
         """Counts a run that came in."""
-        returns = np.asarray(rows.episodes["returns"], np.float64)
-        complete = len(returns) == rows.cell.episodes and bool(np.isfinite(returns).all())
-        self._groups[self._label(rows.cell)].add(returns, complete)
+        returns = np.asarray(run.returns, np.float64)
+        complete = len(returns) == run.cell.episodes and bool(np.isfinite(returns).all())
+        self._groups[self._label(run.cell)].add(returns, complete)
 
     def _label(self, cell: Cell) -> tuple[Any, ...]:
         own = {"algo": cell.algo, "error": cell.error, "oracle": cell.oracle}

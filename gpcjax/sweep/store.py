@@ -16,6 +16,7 @@ from typing import Any
 import pyarrow as pa
 
 from gpcjax.sweep.atomic import clean, write_atomic
+from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.layout import (
     BESIDE,
@@ -117,15 +118,17 @@ class Store:
         """Cells that are stored."""
         return len(self._stored)
 
-    def append(self, rows: Sequence[CellRows]) -> None:
+    def append(self, rows: Sequence[CellRows | Block]) -> None:
         """Writes the rows of some cells, a part for each kind of machine, and puts many parts together as one."""
-        by_machine: dict[str, list[CellRows]] = {}
+        by_machine: dict[str, list[CellRows | Block]] = {}
         for row in rows:
             by_machine.setdefault(row.machine or self._origin.machine, []).append(row)
         for machine, theirs in by_machine.items():
-            self._write(tables_of(theirs, self._varying), machine)
+            alone = [each for each in theirs if isinstance(each, CellRows)]
+            tables = [each.tables for each in theirs if isinstance(each, Block)]
+            self._write(_joined([*([tables_of(alone, self._varying)] if alone else []), *tables]), machine)
             self.machines.add(machine)
-            self._stored |= {key_of(row.cell, self._varying) for row in theirs}
+            self._stored |= {key_of(cell, self._varying) for each in theirs for cell in each.cells}
         for key in sorted(self._small):
             if len(self._small[key]) >= TOGETHER:
                 self._put_together(self._small.pop(key), machine=key[0])
@@ -160,14 +163,7 @@ class Store:
         found = [part.tables for part in parts if part is not None]
         if len(found) < len(names):
             return
-        tables = {
-            folder: pa.concat_tables(
-                [tables[folder] for tables in found if folder in tables], promote_options="permissive"
-            )
-            for folder in wanted
-            if any(folder in tables for tables in found)
-        }
-        self._write(tables, machine, replaces=names)
+        self._write(_joined(found), machine, replaces=names)
         self._remove(names)
 
     def _remove(self, names: Iterable[str]) -> None:
@@ -181,3 +177,15 @@ class Store:
         clean(self._out, lambda target: target == MANIFEST)
         for folder in (EPISODES, *BESIDE):
             clean(self._out / folder, lambda target: parse_part(target) is not None)
+
+
+def _joined(parts: Sequence[Mapping[str, pa.Table]]) -> Mapping[str, pa.Table]:
+    """The tables of some parts as those of one."""
+    if len(parts) == 1:
+        return parts[0]
+    found = {folder: [part[folder] for part in parts if folder in part] for folder in (EPISODES, *BESIDE)}
+    return {
+        folder: pa.concat_tables(tables, promote_options="permissive").combine_chunks()
+        for folder, tables in found.items()
+        if tables
+    }

@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gpcjax.errors import UserError
-from gpcjax.registry import find
 from gpcjax.sweep.atomic import write_atomic
-from gpcjax.sweep.options import concerns
+from gpcjax.sweep.plan import axes_of
 from gpcjax.sweep.seeds import LARGEST_SEED, Seeds
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune import toml
 from gpcjax.tune.found import found_in
 from gpcjax.tune.objectives import OBJECTIVES
-from gpcjax.tune.space import Values
+from gpcjax.tune.space import Space, Values
 
 OBJECTIVE = OBJECTIVES["final_return"]
 """What a report of a grid calls the best point by."""
@@ -45,21 +44,15 @@ def write_best(out: Path, spec: SweepSpec) -> list[Path]:
     """
     written = []
     for algo in spec.algo:
-        concerned = [
-            name
-            for name, values in spec.hyperparameters.items()
-            if len(values) > 1 and concerns(name, find("learner", algo), find("teacher", spec.teacher))
-        ]
-        if not concerned:
+        axes = axes_of(spec, algo)
+        space: Space = {name: Values(values) for name, values in axes.items() if len(values) > 1}
+        if not space:
             continue
         try:
-            found = found_in(
-                out, algo, {name: Values(spec.hyperparameters[name]) for name in concerned}, [OBJECTIVE]
-            )
+            found = found_in(out, algo, space, [OBJECTIVE])
         except UserError:  # no row of it is there
             continue
-        single = {name: spec.hyperparameters[name] for name in spec.hyperparameters if name not in concerned}
-        own = {name: values for name, values in single.items() if len(values) == 1}
+        own = {name: values for name, values in axes.items() if len(values) == 1}
         best = with_point(
             dataclasses.replace(spec, algo=(algo,), hyperparameters=own, seeds=other_seeds(spec.seeds)),
             found.best.point,

@@ -6,7 +6,9 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import pandas as pd
 
 from gpcjax.report import words
 from gpcjax.report.compare import Comparison
@@ -23,7 +25,7 @@ from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
-from gpcjax.tune.check import CHECK, checked_on, differing
+from gpcjax.tune.check import CHECK, checked_on, differing, of_objectives
 from gpcjax.tune.command import STATE, Wishes, grid_spec
 from gpcjax.tune.figure import drawn
 from gpcjax.tune.found import Found, found_in
@@ -52,11 +54,31 @@ class Outcome:
     files: dict[str, str]
     """Tables, by the names of their files."""
     told: dict[str, Any]
-    """For programs."""
+    """For programs: `best`, the settings that were found, and for points their `scores`."""
+    points: pd.DataFrame | None = None
+    """A row for each point that was looked at on all seeds (`Found.table`); None of a fit."""
+
+
+class Result(NamedTuple):
+    """A search that was carried out."""
+
+    outcome: Outcome
+    check: Comparison | None
+    """With what was found and without it, on other seeds; None where both are the same."""
+    said: list[str]
+    """The check in sentences."""
+    page: Path
 
 
 def carry_out(wishes: Wishes) -> int:
-    """Searches, judges on other seeds, draws; gives the exit status."""
+    """Searches, judges on other seeds, draws, and tells of it; gives the exit status."""
+    result = carried_out(wishes)
+    _tell(wishes, result)
+    return 0
+
+
+def carried_out(wishes: Wishes) -> Result:
+    """Searches, judges on other seeds, draws; what was done in the folder is not done again."""
     out = wishes.out
     with held(out), Processes(wishes.jobs) as executor:
         write_atomic(out / STATE, json.dumps(wishes.told, indent=2) + "\n")
@@ -66,6 +88,8 @@ def carry_out(wishes: Wishes) -> int:
             write_atomic(out / name, text)
         comparison = checked_on(outcome.usual, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
         said = page.verdict(comparison, wishes.check.words)
+        if comparison is not None and wishes.method != "mll":
+            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], out)
         commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
         if comparison is not None:
             folders = [str(out / CHECK / each.name) for each in comparison.folders]
@@ -84,13 +108,11 @@ def carry_out(wishes: Wishes) -> int:
             said,
             commands,
         )
-    _tell(wishes, outcome, comparison, said, written)
-    return 0
+    return Result(outcome, comparison, said, written)
 
 
-def _tell(
-    wishes: Wishes, outcome: Outcome, comparison: Comparison | None, said: Sequence[str], written: Path
-) -> None:
+def _tell(wishes: Wishes, result: Result) -> None:
+    outcome, comparison = result.outcome, result.check
     if wishes.as_json:
         differences = (
             []
@@ -105,9 +127,9 @@ def _tell(
 
     width = None if sys.stdout.isatty() else 160  # a file or pipe is no narrow terminal
     Console(width=width).print(
-        laid_out(outcome.warnings, outcome.sheets(page.MOST_TERMINAL), [outcome.lead, *said])
+        laid_out(outcome.warnings, outcome.sheets(page.MOST_TERMINAL), [outcome.lead, *result.said])
     )
-    files = ", ".join([page.BEST, written.name, *outcome.files])
+    files = ", ".join([page.BEST, result.page.name, *outcome.files])
     print(words.printable(f"{wishes.out}: {files}", sys.stdout.encoding))
 
 
@@ -180,6 +202,7 @@ def _of_points(wishes: Wishes, found: Found, told: tuple[Told, ...], lead: str) 
         sheets=lambda most: [page.sheet(found, most)],
         draw=lambda comparison: drawn(found, told),
         files={page.TABLE: found.table().to_csv(index=False)},
+        points=found.table(),
         told={
             "best": found.best.point,
             "scores": dict(zip(names.split(", "), found.best.scores, strict=True)),
@@ -209,7 +232,8 @@ def _beside(found: Found) -> str:
 
 def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
     assert wishes.runs is not None
-    compute_here()
+    if "jax" not in sys.modules:
+        compute_here()
     from gpcjax.tune.likelihood import by_likelihood  # which loads jax
 
     fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, take=wishes.take, seeds=wishes.check)

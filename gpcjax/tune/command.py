@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gpcjax.allowed import shown, suggestion
+from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.layout import GIVE_NEW
@@ -29,7 +29,7 @@ from gpcjax.sweep.spec import (
     read_toml,
 )
 from gpcjax.tune import halving, space
-from gpcjax.tune.flags import TABLE, TAKEN, own_values
+from gpcjax.tune.flags import FLAGS, TABLE, TAKEN, own_values
 from gpcjax.tune.halving import Rung
 from gpcjax.tune.names import names_of
 from gpcjax.tune.space import Space
@@ -87,7 +87,7 @@ class Wishes(NamedTuple):
 
 
 def wishes_of(arguments: argparse.Namespace, settings: Mapping[str, Given | Unchecked], cores: int) -> Wishes:
-    """What a person wants, checked, and not against what their folder holds.
+    """What a person wants by words, checked, and not against what their folder holds.
 
     Args:
         arguments: the words, with the flags of `FLAGS`.
@@ -97,77 +97,111 @@ def wishes_of(arguments: argparse.Namespace, settings: Mapping[str, Given | Unch
     Raises:
         UserError: a mistake of the person's.
     """
-    wishes = _wishes(arguments, settings, cores)
-    _refuse_another(wishes)
-    if wishes.method == "tpe" and importlib.util.find_spec("optuna") is None:
-        raise UserError("--method tpe needs Optuna: pip install 'gpcjax[tune]'")
-    return wishes
-
-
-def _wishes(arguments: argparse.Namespace, settings: Mapping[str, Given | Unchecked], cores: int) -> Wishes:
     path = None if arguments.toml is None else Path(arguments.toml)
     if arguments.quick and path is None:
         raise UserError("--quick takes the table [quick] of a TOML file: give the file")
-    own = own_values(arguments, {} if path is None else read_table(path, TABLE), f"{path}: [{TABLE}] ")
-    where, source = _space(arguments, path)
+    table, prefix = {} if path is None else read_table(path, TABLE), f"{path}: [{TABLE}] "
+    own = own_values({name: getattr(arguments, name) for name in FLAGS}, table, prefix)
+    if arguments.search:
+        look = Given(space.of_words(arguments.search), "--search")
+    else:
+        source = f"{path}: [{TABLE}.search]" if path is not None else "--search"
+        looked = table.get("search", {})
+        if not isinstance(looked, dict):
+            raise UserError(f"{path}: [{TABLE}] search is no table: begin one with a line [{TABLE}.search]")
+        look = Given(space.of_table(looked, f"{source} "), source)
     given = {} if path is None else read_toml(path, arguments.quick, TABLE)
-    given |= settings
+    return checked(own, look, {**given, **settings}, conditions(arguments.where), cores, arguments.json)
+
+
+def checked(
+    own: Mapping[str, Given],
+    look: Given,
+    given: Mapping[str, Given | Unchecked],
+    which: Mapping[str, str],
+    cores: int,
+    as_json: bool = False,
+) -> Wishes:
+    """What a person wants, however they said so, checked as a whole and against what their folder holds.
+
+    Args:
+        own: the settings of a search, as `own_values` gives them.
+        look: the space to look in, and where it stood; an empty one for none.
+        given: the settings of a sweep.
+        which: which runs are fitted, by columns and values.
+        cores: processes at once where nobody says how many.
+        as_json: whether a program listens.
+
+    Raises:
+        UserError: a mistake of the person's.
+    """
+    wishes = _wishes(own, look, given, which, cores, as_json)
+    _refuse_another(wishes)
+    if wishes.method == "tpe" and importlib.util.find_spec("optuna") is None:
+        raise UserError(f"{own['method'].source} tpe needs Optuna: pip install 'gpcjax[tune]'")
+    return wishes
+
+
+def _wishes(
+    own: Mapping[str, Given],
+    look: Given,
+    given: Mapping[str, Given | Unchecked],
+    which: Mapping[str, str],
+    cores: int,
+    as_json: bool,
+) -> Wishes:
+    value = {name: each.value for name, each in own.items()}
+    where, method, with_method = (
+        look.value,
+        value["method"],
+        f"with {own['method'].source} {own['method'].value}",
+    )
     for name in ("rate_from", "keep", "keep_at"):
         if name in given:
             raise UserError(f"{given[name].source}: a search has none, leave it out")
-    method, which = own["method"], conditions(arguments.where)
     if method == "mll":
         if where:
-            raise UserError(f"{source}: --method mll finds all it can, leave it out")
-        base = _base_of_runs(given, own["runs"])
-        which |= {"algo": given["algo"].value[0]} if "algo" in given else {}
+            raise UserError(f"{look.source}: {with_method} all is fitted that can be, leave it out")
+        base = _base_of_runs(given, own["runs"], with_method)
+        which = {**which, **({"algo": given["algo"].value[0]} if "algo" in given else {})}
     else:
         if not where:
-            raise UserError(f"no search: give --search {space.FORM}, once for each setting")
+            raise UserError(f"no search: give {look.source} {space.FORM}, once for each setting")
         if which:
             raise UserError("--where: it says which runs of --method mll, leave it out")
-        base = _base(given, method, where, source)
+        base = _base(given, method, look)
         if "seeds" not in given:
             base = dataclasses.replace(base, seeds=Seeds(((0, SEEDS - 1),)))
-    seeds = base.seeds
-    rungs = halving.rungs_of(own["rungs"], seeds, base.episodes, own["source of rungs"])
-    check = HELD_OUT if own["check_seeds"] is None else own["check_seeds"]
-    _refuse_common(seeds, check, own["source of check_seeds"])
-    names = names_of(own["objective"], own["source of objective"])
+    check = (
+        own["check_seeds"]
+        if value["check_seeds"] is not None
+        else own["check_seeds"]._replace(value=HELD_OUT)
+    )
+    _refuse_common(base.seeds, check)
     out = Path(os.path.expanduser(given["out"].value)) if "out" in given else None
     wishes = Wishes(
         method=method,
         base=base,
         space=where,
-        objectives=names,
-        trials=own["trials"],
-        batch=own["batch"],
-        rungs=rungs,
-        eta=own["eta"],
-        sampler_seed=own["sampler_seed"],
-        check=check,
-        runs=None if own["runs"] is None else Path(os.path.expanduser(own["runs"])),
-        take=_taken(own["take"], own["source of take"]),
-        which=which,
+        objectives=names_of(*own["objective"]),
+        trials=value["trials"],
+        batch=value["batch"],
+        rungs=halving.rungs_of(value["rungs"], base.seeds, base.episodes, own["rungs"].source),
+        eta=value["eta"],
+        sampler_seed=value["sampler_seed"],
+        check=check.value,
+        runs=None if value["runs"] is None else Path(os.path.expanduser(value["runs"])),
+        take=names_of(*own["take"], known=TAKEN),
+        which=dict(which),
         out=Path(),
         jobs=given["jobs"].value if "jobs" in given else cores,
-        as_json=arguments.json,
+        as_json=as_json,
     )
     usual = Path("runs", f"tune-{base.env.replace(':', '-').replace('/', '-')}-{hash_of(wishes.told)}")
     return wishes._replace(out=usual if out is None else out)
 
 
-def _space(arguments: argparse.Namespace, path: Path | None) -> tuple[Space, str]:
-    """Where to look, by flags or else by the file, and where that stood."""
-    if arguments.search:
-        return space.of_words(arguments.search), "--search"
-    table = {} if path is None else read_table(path, TABLE).get("search", {})
-    if not isinstance(table, dict):
-        raise UserError(f"{path}: [{TABLE}] search is no table: begin one with a line [{TABLE}.search]")
-    return space.of_table(table, f"{path}: [{TABLE}.search] "), f"{path}: [{TABLE}.search]"
-
-
-def _base(given: Mapping[str, Given | Unchecked], method: str, where: Space, source: str) -> SweepSpec:
+def _base(given: Mapping[str, Given | Unchecked], method: str, look: Given) -> SweepSpec:
     """The specification of a run without what is searched, all of which is checked with it."""
     known = dict(given)
     known.setdefault("algo", Given(("gpc",), "algo"))
@@ -178,44 +212,36 @@ def _base(given: Mapping[str, Given | Unchecked], method: str, where: Space, sou
         )
     if "points" in known:
         raise UserError(f"{known['points'].source}: a search has points of its own, leave it out")
-    if where:
-        corners = {"points": Unchecked(space.corners(where), source, source)}
-        make_spec(known | corners)
-        if method == "grid":
-            space.grid_of(where)
+    make_spec(known | {"points": Unchecked(space.corners(look.value), look.source, look.source)})
+    if method == "grid":
+        space.grid_of(look.value)
     base = make_spec(known)
     several = [name for name, values in base.hyperparameters.items() if len(values) > 1]
     if several:
         raise UserError(
-            f"{known[several[0]].source}: give one value, or --search {several[0]}=A,B for the list to be searched"
+            f"{known[several[0]].source}: give one value, or {look.source} {several[0]}=A,B for the list to be searched"
         )
     if find("teacher", base.teacher).live:
         raise UserError(f"teacher {base.teacher}: a search needs one that advises by itself")
     return base
 
 
-def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: str | None) -> SweepSpec:
+def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: Given, with_method: str) -> SweepSpec:
     """The specification of a folder whose runs are fitted."""
-    if runs is None:
+    if runs.value is None:
         raise UserError(
-            "no runs: give --runs FOLDER, a run folder with kept states (gpcjax sweep --keep states)"
+            f"no runs: give {runs.source} FOLDER, a run folder with kept states (gpcjax sweep --keep states)"
         )
     for name, setting in given.items():
         if name not in ("algo", "out", "jobs"):
-            raise UserError(f"{setting.source}: with --method mll the folder of --runs says it, leave it out")
+            raise UserError(
+                f"{setting.source}: {with_method} the folder of {runs.source} says it, leave it out"
+            )
     if len(given["algo"].value if "algo" in given else ("",)) > 1:
         raise UserError(f"{given['algo'].source}: give one learner, each has a best of its own")
-    folder = Path(os.path.expanduser(runs))
+    folder = Path(os.path.expanduser(runs.value))
     check_report(folder)
     return from_dict(read_manifest(folder)["specification"])
-
-
-def _taken(text: str, source: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(word.strip().replace("-", "_") for word in text.split(",")))
-    for name in names:
-        if name not in TAKEN:
-            raise UserError(f"{source} {shown(name)}: give {', '.join(TAKEN)}{suggestion(name, TAKEN)}")
-    return names
 
 
 def _refuse_another(wishes: Wishes) -> None:
@@ -246,13 +272,13 @@ def grid_spec(wishes: Wishes) -> SweepSpec:
     )
 
 
-def _refuse_common(seeds: Seeds, check: Seeds, source: str) -> None:
+def _refuse_common(seeds: Seeds, check: Given) -> None:
     """Refuse seeds that would both choose and judge."""
-    common = [seed for seed in seeds if seed in check]
+    common = [seed for seed in seeds if seed in check.value]
     if common:
         raise UserError(
-            f"{source} {check}: seed {common[0]} has a part in the search, whose choice must be judged on others: "
-            "give seeds that are not among --seeds"
+            f"{check.source} {check.value}: seed {common[0]} has a part in the search, whose choice must be judged on "
+            "others: give seeds that are not among those of the search"
         )
 
 

@@ -1,6 +1,5 @@
 """The flags of `gpcjax tune` beside those of a sweep, in one table. Standard library only."""
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +8,7 @@ from gpcjax.allowed import COUNT, Anything, Numbers, OneOf
 from gpcjax.errors import UserError
 from gpcjax.sweep.options import Option, accept, parse
 from gpcjax.sweep.seeds import WORDS, Seeds
+from gpcjax.sweep.spec import Given
 from gpcjax.tune import halving
 from gpcjax.tune.names import OBJECTIVES
 
@@ -93,27 +93,35 @@ FLAGS: dict[str, Own] = {
 }
 
 
-def own_values(arguments: argparse.Namespace, table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """The values of this command's flags, and where each of them stood as `source of NAME`; flags win."""
+def own_values(words: Mapping[str, str | None], table: Mapping[str, Any], prefix: str) -> dict[str, Given]:
+    """The value of each of this command's flags, and where it stood; flags win.
+
+    Args:
+        words: the text of each flag that was given; of Python's settings, which have no flags, nothing.
+        table: settings by their names: of a file, or of Python.
+        prefix: what a message has before a name of the table.
+
+    Raises:
+        UserError: a name or a value that is not allowed, or a setting that changes nothing.
+    """
     written = {str(key).replace("-", "_"): (value, f"{prefix}{key}") for key, value in table.items()}
     for name, (_, source) in written.items():
         if name not in (*FLAGS, "search"):
             raise UserError(f"{source} is no setting of a search: give {', '.join([*FLAGS, 'search'])}")
-    found: dict[str, Any] = {}
+    found: dict[str, Given] = {}
     for name, flag in FLAGS.items():
-        option, text = Option(name, flag.kind, flag.allowed, ""), getattr(arguments, name)
-        source = (
-            f"--{name.replace('_', '-')}" if text is not None or name not in written else written[name][1]
-        )
-        found[f"source of {name}"] = source
+        option, text = Option(name, flag.kind, flag.allowed, ""), words.get(name)
+        dashed = f"--{name.replace('_', '-')}" if words else name
         if text is not None:
-            found[name] = parse(option, text, source)
+            found[name] = Given(parse(option, text, dashed), dashed)
         elif name in written:
-            found[name] = accept(option, written[name][0], source)
+            value, source = written[name]
+            found[name] = Given(accept(option, value, source), source)
         else:
-            found[name] = flag.default
+            found[name] = Given(flag.default, dashed)
             continue
-        method = found["method"]
+        method = found["method"].value
         if method not in flag.methods:
-            raise UserError(f"{source}: with --method {method} it changes nothing, leave it out")
+            with_method = f"with {'--' if words else ''}method {method}"
+            raise UserError(f"{found[name].source}: {with_method} it changes nothing, leave it out")
     return found

@@ -1,4 +1,6 @@
-"""What a search may look for, by name. Standard library only."""
+"""Names in comma lists: what a search may look for, what it may take. Standard library only."""
+
+from collections.abc import Collection
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
@@ -12,14 +14,12 @@ OBJECTIVES = {
 }
 
 
-def names_of(text: str, source: str) -> tuple[str, ...]:
-    """The names of objectives in a comma list. Raises UserError."""
+def names_of(text: str, source: str, known: Collection[str] = OBJECTIVES) -> tuple[str, ...]:
+    """The names of objectives, or of what else is `known`, in a comma list. Raises UserError."""
     names = [word.strip().replace("-", "_") for word in text.split(",")]
     for name in names:
-        if name not in OBJECTIVES:
-            raise UserError(
-                f"{source} {shown(name)}: give {', '.join(OBJECTIVES)}{suggestion(name, OBJECTIVES)}"
-            )
+        if name not in known:
+            raise UserError(f"{source} {shown(name)}: give {', '.join(known)}{suggestion(name, known)}")
         if names.count(name) > 1:
             raise UserError(f"{source} {name} is given twice: give it once")
     return tuple(names)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 
 def ranked(scores: Sequence[Sequence[float]], larger: Sequence[bool]) -> list[int]:
@@ -12,26 +13,49 @@ def ranked(scores: Sequence[Sequence[float]], larger: Sequence[bool]) -> list[in
         scores: for each point a number for each objective; nan is worse than anything.
         larger: for each objective whether more is better.
     """
-    signs = np.where(larger, -1.0, 1.0)
-    costs = np.asarray(scores, float).reshape(len(scores), len(signs)) * signs
+    costs = _costs(scores, larger)
     costs = np.where(np.isnan(costs), np.inf, costs)
-    ranks = np.stack([np.searchsorted(np.sort(column), column) for column in costs.T], axis=1)
-    left, order = list(range(len(costs))), []
-    while left:
-        front = [place for place in left if not any(_dominates(costs[other], costs[place]) for other in left)]
-        order += sorted(front, key=lambda place: (int(ranks[place].sum()), place))
-        left = [place for place in left if place not in front]
-    return order
+    ranks = np.stack([np.searchsorted(np.sort(column), column) for column in costs.T], axis=1).sum(1)
+    return [
+        place
+        for front in _fronts(costs)
+        for place in sorted(front, key=lambda place: (int(ranks[place]), place))
+    ]
 
 
 def front(scores: Sequence[Sequence[float]], larger: Sequence[bool]) -> list[int]:
     """The places of the points that no other one dominates, with finite scores, in their order: the Pareto front."""
+    costs = _costs(scores, larger)
+    known = np.flatnonzero(np.isfinite(costs).all(1))
+    return sorted(int(known[place]) for place in _fronts(costs[known])[0]) if known.size else []
+
+
+def _costs(
+    scores: Sequence[Sequence[float]], larger: Sequence[bool]
+) -> Float[np.ndarray, "points objectives"]:
+    """Scores of which less is better."""
     signs = np.where(larger, -1.0, 1.0)
-    costs = np.asarray(scores, float).reshape(len(scores), len(signs)) * signs
-    known = [place for place in range(len(costs)) if np.isfinite(costs[place]).all()]
-    return [place for place in known if not any(_dominates(costs[other], costs[place]) for other in known)]
+    return np.asarray(scores, float).reshape(len(scores), len(signs)) * signs
 
 
-def _dominates(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether one is nowhere worse and somewhere better."""
-    return bool((one <= other).all() and (one < other).any())
+def _fronts(costs: Float[np.ndarray, "points objectives"]) -> list[list[int]]:
+    """All fronts, each of the points that only points of fronts before it dominate.
+
+    Whoever dominates a point comes before it in the order of the first objective, then the second, and so on; and a
+    front that has a dominator of it has none behind it without one before: a bisection finds the front of each
+    (Zhang et al. 2015, "An efficient approach to nondominated sorting", ENS-BS).
+    """
+    fronts: list[list[int]] = []
+    for place in np.lexsort(costs.T[::-1]).tolist():
+        low, high = 0, len(fronts)
+        while low < high:
+            middle = (low + high) // 2
+            others = costs[fronts[middle]]
+            if ((others <= costs[place]).all(1) & (others < costs[place]).any(1)).any():
+                low = middle + 1
+            else:
+                high = middle
+        if low == len(fronts):
+            fronts.append([])
+        fronts[low].append(place)
+    return fronts

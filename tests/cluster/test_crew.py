@@ -9,8 +9,10 @@ import pytest
 from gpcjax.errors import Failure, UserError
 from gpcjax.policies.folder import write_folder
 from gpcjax.sweep import machine
+from gpcjax.sweep.blocks import block_of
 from gpcjax.sweep.checkpoints import KIND, cell_as_json
 from gpcjax.sweep.checkpoints import Place as CheckpointPlace
+from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Orders, crew
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.parcel import pack
@@ -18,6 +20,7 @@ from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.spec import spec_of
 from tests.cluster.fakes import HERE, NEVER, FakeRay, there
+from tests.sweep import pretended
 
 CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
 OTHER = {**HERE.machine, "vector_features": "none at all"}
@@ -27,7 +30,7 @@ NONE = Orders()
 
 
 def rows_of(cell):
-    return CellRows(cell, np.array([1]), ["ok"], {"length": np.array([7])}, {})
+    return CellRows(cell, np.array([1]), ["ok"], {"returns": np.zeros(1), "length": np.array([7])}, {})
 
 
 class Good:
@@ -62,6 +65,14 @@ class Waiting:
         return NEVER
 
 
+class Hanging(Good):
+    """One that takes cells and says no more."""
+
+    def hear(self, answer, archives):
+        said = super().hear(answer, archives)
+        return NEVER if answer and answer[0] == "cells" else said
+
+
 class Gone(Good):
     """One whose machine is lost at once."""
 
@@ -69,12 +80,12 @@ class Gone(Good):
         raise RuntimeError("The actor died\nbecause its node has died")
 
 
-def served(hire, jobs=1, orders=NONE):
+def served(hire, jobs=1, orders=NONE, cells=CELLS):
     """Serves a desk with these actors; gives rows, notes, machines and the fake."""
     got, notes, machines = [], [], []
     fake = FakeRay(hire)
     desk = Desk(
-        CELLS,
+        cells,
         [],
         jobs,
         got.append,
@@ -94,7 +105,7 @@ def served(hire, jobs=1, orders=NONE):
 def test_cells_of_a_worker_that_is_lost_go_to_another_one():
     got, notes, _, fake = served(lambda number: Good(most=2 if number == 0 else 99))
     assert sorted(rows.cell.seed for rows in got) == [0, 1, 2, 3]
-    assert len(fake.actors) == 2 and fake.killed == [fake.actors[0]]
+    assert len(fake.actors) == 2 and set(fake.killed) == set(fake.actors)  # also who has cleared up
     (note,) = notes
     assert note.startswith(f"a worker on {HERE.name} is lost") and note.endswith(
         "(a worker process was killed)"
@@ -116,7 +127,35 @@ def test_one_that_is_lost_again_and_again_ends_the_sweep():
 
 def test_workers_that_find_no_machine_are_not_waited_for():
     got, _, _, fake = served(lambda number: Good() if number == 1 else Waiting(), jobs=3)
-    assert len(got) == 4 and len(fake.killed) == 2
+    assert len(got) == 4 and len(fake.killed) == 3
+
+
+def test_what_a_machine_that_hangs_had_runs_elsewhere_too():
+    many = plan(spec_of(env="cartpole", algo="coach", seeds=2 * JOIN, oracle="lqr"))
+    got, notes, _, fake = served(lambda number: Good() if number else Hanging(), jobs=2, cells=many)
+    assert sorted(rows.cell.seed for rows in got) == list(range(2 * JOIN)) and not notes
+    assert len(fake.actors) == 2 and set(fake.killed) == set(fake.actors)  # also who has cleared up
+
+
+def test_rows_that_come_twice_count_once():
+    """The first of two workers says what it has just as the other has run a copy of it."""
+    got = []
+    desk = Desk(CELLS[:3], [], 2, got.append, lambda *_: None, lambda _: None)
+    desk.give_copies()
+    assert desk.answer(0, ("ready",))[0] == "program"
+    mine = [cell for _ in range(3) for cell in desk.answer(0, ("next",))[1]]
+    assert mine == CELLS[:3] and desk.answer(1, ("ready",))[1] == CELLS[0]
+    assert desk.answer(1, ("next",))[1] == mine and desk.answer(1, ("next",)) == ("cells", [])
+    desk.answer(1, ("rows", rows_of(mine[1])))
+    assert desk.is_late(0) and not desk.done
+    desk.answer(0, ("rows", block_of([pretended.rows(cell) for cell in mine], ())))
+    desk.answer(1, ("rows", rows_of(mine[0])))
+    assert desk.done and not desk.is_late(0) and desk.is_late(1)
+    assert [cell for each in got for cell in each.cells] == [mine[1], mine[0], mine[2]]
+    assert {work.finished for work in desk.works.values()} == {3}
+    with pytest.raises(Failure, match="its worker has not"):
+        desk.answer(1, ("rows", rows_of(mine[1])))
+        desk.answer(1, ("rows", rows_of(mine[1])))
 
 
 @pytest.mark.parametrize(

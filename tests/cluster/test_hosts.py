@@ -14,6 +14,7 @@ from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.run import sweep
 from tests.cluster.hosts import hosts
 from tests.cluster.test_ray import assert_same_rows
+from tests.sweep.processes import alive
 
 pytestmark = pytest.mark.slow
 SETTINGS = {"env": "lunarlander", "algo": "coach", "seeds": 8, "episodes": 40}
@@ -79,14 +80,12 @@ def test_a_slow_host(two, plain, tmp_path):
     (worker,) = two[1].workers()
     os.kill(worker, signal.SIGSTOP)
     try:
-        before = running.events[-1].get("env_steps", 0)
-        running.until(lambda: running.events[-1].get("env_steps", 0) > before)  # the other one goes on
-        time.sleep(3.0)
+        running.finish()  # what it has runs on the other one, too
+        assert_same_rows(running.out, plain)
+        assert "is lost" not in running.log
     finally:
-        os.kill(worker, signal.SIGCONT)
-    running.finish()
-    assert "is lost" not in running.log
-    assert_same_rows(running.out, plain)
+        if alive(worker):
+            os.kill(worker, signal.SIGCONT)
 
 
 def test_a_driver_that_is_killed_and_started_again(two, plain, tmp_path):

@@ -61,8 +61,10 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, tmp_path):
         while heard[-1] == ("next",):  # an empty lane is free for more
             heard += hear(worker, ("cells", []))
     assert not folder.exists() and not alive(process.pid)
-    (rows,) = (message[1] for message in heard if message[0] == "rows")
-    assert rows.cell == cell and list(rows.episode) == list(range(1, 21)) and set(rows.status) == {"ok"}
+    (block,) = (message[1] for message in heard if message[0] == "rows")
+    episodes = block.tables["episodes"].to_pydict()
+    assert block.cells == (cell,) and episodes["episode"] == list(range(1, 21))
+    assert set(episodes["status"]) == {"ok"} and block.tables["corrections"].num_rows
     assert not [message for message in heard if message[0] == "note"]
     name, archive = next(message[1:] for message in heard if message[0] == "checkpoint")
     places = receive(tmp_path, name, lambda parts: unpack(archive, parts))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gpcjax.cli.words import parse_words, settings
+from gpcjax.errors import UserError
 from gpcjax.sweep.shards import shard_of
 
 SCRIPTS = Path(__file__).parents[2] / "sweeps" / "cluster"
@@ -47,6 +48,17 @@ class TestSlurm:
             [SCRIPTS / "slurm.sh"], SLURM_ARRAY_TASK_ID="2", SLURM_ARRAY_TASK_COUNT="1", SHARDS="8"
         )
         assert given(words) == {"shard": "2/8", "jobs": 1}
+
+    def test_it_is_told_before_its_time_is_over(self):
+        """Without B: SLURM tells the steps of srun, of which there are none."""
+        lines = (SCRIPTS / "slurm.sh").read_text().splitlines()
+        assert "#SBATCH --signal=B:TERM@60" in lines and any(line.startswith("exec ") for line in lines)
+
+    def test_an_array_that_begins_at_zero_is_refused(self, called):
+        variables = {"SLURM_ARRAY_TASK_ID": "0", "SLURM_ARRAY_TASK_COUNT": "3"}
+        words = given(called([SCRIPTS / "slurm.sh", "--env", "cartpole"], **variables))
+        with pytest.raises(UserError, match=r"^--shard '0/3': give i/n"):
+            shard_of(words["shard"], "--shard")
 
     def test_outside_of_an_array(self, called):
         assert "sbatch --array=1-8" in called([SCRIPTS / "slurm.sh"])

@@ -56,6 +56,27 @@ def test_on_the_host_a_worker_leaves_the_others_their_part():
         assert len(taken) == expected
 
 
+def test_who_has_nothing_left_takes_copies_of_what_is_out_for_longest():
+    sharing = Sharing(cells(seeds=6, algo=["coach"]), workers=3)
+    for worker in range(3):
+        sharing._turn(worker, program_of(cells(algo=["coach"])[0]))  # so few are not worth joining else
+    given = [sharing.next_cells(worker % 3)[0] for worker in range(6)]
+    assert all(sharing.back(1, cell) for cell in given[1::3]) and sharing.next_cells(1) == []
+    assert sharing.next_program(1) is None and sharing.next_copy(1) == given[0]
+    assert sharing.back(0, given[3])  # before the copies are handed out: it needs none
+    assert sharing.next_cells(1) == [given[0]] and sharing.next_cells(1) == []
+    assert sharing.left == 3 and not sharing.is_late(0)
+    assert sharing.back(1, given[0]) and sharing.left == 2
+    assert sharing.is_late(0) and not sharing.back(0, given[0]) and not sharing.is_late(0)
+    with pytest.raises(KeyError):
+        sharing.back(0, given[0])
+    assert sharing.next_copy(1) == given[2] and sharing.next_cells(1) == [given[2], given[5]]
+    assert sharing.next_copy(0) is None  # each has a copy
+    assert sharing.lose(2) == [] and sharing.next_copy(0) == given[2]  # the copies are all that there is
+    assert sharing.lose(1) == [given[2], given[5]] and sharing.next_cells(0) == []
+    assert sharing.next_program(0) is None or sharing.next_cells(0)
+
+
 @hypothesis.given(
     st.lists(st.tuples(st.integers(0, 2), st.sampled_from(["take", "finish", "lose"])), max_size=60)
 )
@@ -70,7 +91,9 @@ def test_every_cell_comes_back_once_whoever_is_lost(moves):
             held[worker] = []
         elif what == "finish" and held[worker]:
             done.append(held[worker].pop(0))
-            assert sharing.back(done[-1]) and not sharing.back(done[-1])
+            assert sharing.back(worker, done[-1])
+            with pytest.raises(KeyError):
+                sharing.back(worker, done[-1])
         elif what == "take" and (sharing.at(worker) or sharing.next_program(worker)):
             held[worker] += (taken := sharing.next_cells(worker))
             if not taken:
@@ -136,7 +159,7 @@ class TestDesk:
 
     def test_rows_that_nobody_was_to_make_are_refused(self):
         it, got, *_ = desk()
-        with pytest.raises(Failure, match="no worker has"):
+        with pytest.raises(Failure, match="that its worker has not"):
             it.answer(0, ("rows", rows(it.cells[0])))
         assert not got
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from gpcjax.sweep.growing import BARS, PLAIN_BARS, WIDTH, curve, table
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.progress import Bar, State
-from gpcjax.sweep.rows import CellRows
+from gpcjax.sweep.rows import Run
 from gpcjax.sweep.sofar import FINAL_EPISODES, Range, SoFar
 from gpcjax.sweep.spec import spec_of
 
@@ -19,7 +19,7 @@ SPEC = spec_of(env="cartpole", algo=("gpc", "coach"), error=(0.0, 0.2), seeds=3,
 def rows(cell, returns):
     """Of a run with these returns; what else there is does not count here."""
     returns = np.asarray(returns, float)
-    return CellRows(cell, np.arange(len(returns)) + 1, ["ok"] * len(returns), {"returns": returns}, {})
+    return Run(cell, np.asarray(returns), np.ones(len(returns), int))
 
 
 def taught(seed=0, spec=SPEC):

@@ -115,6 +115,17 @@ def test_the_front_is_what_nobody_dominates(points):
     assert sorted(order) == list(range(len(scores))) and set(order[: len(alone)]) == set(alone)
 
 
+def test_thousands_of_points_are_ranked():
+    """Looking at all pairs of all fronts, a grid of thousands would take hours."""
+    values = [place // 3 for place in range(4000)]  # three are alike
+    shuffled = [values[place * 1237 % 4000] for place in range(4000)]
+    order = ranked([[float(value)] for value in shuffled], [True])
+    assert [shuffled[place] for place in order] == values[::-1]
+    ties = [place for place in order if shuffled[place] == 7]
+    assert ties == sorted(ties) and len(ties) == 3
+    assert front([[float(value), 0.0] for value in shuffled], [True, False]) == sorted(order[:1])
+
+
 def test_objectives_by_name():
     assert names_of("area, corrections-to-90", "--objective") == ("area", "corrections_to_90")
     with pytest.raises(UserError, match=r"--objective 'erea': .* \(did you mean area\?\)"):

@@ -10,7 +10,9 @@ from collections import Counter
 import pandas as pd
 import pytest
 
+import gpcjax
 from gpcjax import cli
+from gpcjax.errors import UserError
 from gpcjax.report.figures import style
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.tune import carrying_out
@@ -116,6 +118,11 @@ def test_a_front(workers, tmp_path, capsys):
     words = [*WORDS, *SEARCH, "--trials", "8", "--objective", "area,corrections"]
     assert cli.main(words) == 0
     found = table(tmp_path / "o")
+    used = 3 * round(10 * found["policy_length_scale"][0])  # of a run; the usual one has 20 in each episode
+    told = re.search(
+        r"corrections on the same seeds: (\S+) tuned, 60.0 usual; tuned .* (\S+) \[", capsys.readouterr().out
+    )
+    assert told and [float(number) for number in told.groups()] == [used, used - 60]
     on = found[found["front"]]
     assert found["front"].iloc[0] and 1 <= len(on) < len(found)
     for _, each in found.iterrows():
@@ -199,7 +206,7 @@ def test_what_a_fit_needs_is_refused_before_anything_runs(workers, tmp_path, cap
     cases = {
         (): "no runs: give --runs FOLDER",
         ("--runs", "none"): "none: ",
-        ("--runs", "kept", *SEARCH): "--search: --method mll finds all it can, leave it out",
+        ("--runs", "kept", *SEARCH): "--search: with --method mll all is fitted that can be, leave it out",
         (
             "--runs",
             "kept",
@@ -248,6 +255,53 @@ def test_checking_needs_the_standard_library_alone():
             "in 2 processes", f"in {cli.usable_cores()} processes"
         )
     )
+
+
+def test_from_python(workers, tmp_path):
+    """The search of the command line, to the same points; what it found is at hand."""
+    assert cli.main([*WORDS, *SEARCH, "--trials", "5"]) == 0
+    search = {"policy_length_scale": "0.01:100", "human-length-scale": "0.01:100"}
+    settings = {
+        "env": "cartpole",
+        "seeds": 2,
+        "episodes": 3,
+        "check_seeds": "100-102",
+        "batch": 4,
+        "trials": 5,
+    }
+    found = gpcjax.run_tuning(search, out=tmp_path / "python", **settings)
+    pd.testing.assert_frame_equal(table(found.folder), table(tmp_path / "o"))
+    assert len(found.points) == 5 and found.points["tied"].iloc[0]
+    assert found.best == dict(found.points.iloc[0][["policy_length_scale", "human_length_scale"]])
+    assert set(found.check.differences_table["pairs"]) == {3}
+    assert "area" in found.check.differences_table["statistic"].tolist()
+    again = gpcjax.run_tuning(search, out=found.folder, **settings)  # nothing runs once more
+    assert again.best == found.best
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, r"^no search: give search NAME=LOW:HIGH"),
+        ({"search": {"beta": "1:2"}}, r"^search: point 1: beta is no setting of points"),
+        ({"search": {"policy_nu": 3}}, r'^search policy_nu 3: give "LOW:HIGH" in quotes, or a list'),
+        ({"search": {"policy_nu": [0.5]}, "trials": "many"}, r"^trials 'many': give a whole number"),
+        (
+            {"search": {"policy_nu": [0.5]}, "method": "grid", "batch": 4},
+            r"^batch: with method grid it changes",
+        ),
+        ({"method": "mll"}, r"^no runs: give runs FOLDER"),
+        (
+            {"search": {"policy_nu": [0.5]}, "check_seeds": 3},
+            r"^check_seeds 3: seed 0 has a part in the search",
+        ),
+    ],
+)
+def test_what_python_is_refused(workers, tmp_path, settings, message):
+    sweep = {} if settings.get("method") == "mll" else {"env": "cartpole"}
+    with pytest.raises(UserError, match=message):
+        gpcjax.run_tuning(**sweep, **settings, out=tmp_path / "o")
+    assert not (tmp_path / "o").exists()
 
 
 def test_the_page_of_the_docs(workers, tmp_path):

@@ -9,7 +9,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
                                  third entry {Cell: Place} where runs of these can go on
     ("machine", description)     computes on this machine (`gpcjax.sweep.machine.describe`): first of all, and only
                                  from another one than the desk's
-    ("rows", CellRows)           has finished a cell
+    ("rows", CellRows | Block)   has finished a cell, or some
     ("baseline", name, numbers)  has measured an idle policy or an expert
     ("progress", Totals)         has done so much so far; some times a second
     ("compiling", whether)       XLA begins with a program, or has it
@@ -28,6 +28,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
+from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.estimate import Work
 from gpcjax.sweep.keeping import Keeping
@@ -73,6 +74,8 @@ class Orders:
     """Between two checkpoints."""
     agree: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What runs must agree in to go on (`gpcjax.sweep.checkpoints.told`)."""
+    varying: tuple[str, ...] = ()
+    """Settings with more than one value in the folder that rows go to: they are columns of its tables."""
     places: Mapping[Cell, Place] = dataclasses.field(default_factory=dict)
     """Where runs can go on."""
 
@@ -130,7 +133,7 @@ class Desk:
         cells: what to run.
         baselines: (env, name) of idle policies and experts to measure, first.
         jobs: workers there may be.
-        on_rows: called with the rows of each finished cell.
+        on_rows: called with the rows of each finished cell, or of some at once.
         on_baseline: called with the name and the numbers of each baseline.
         on_progress: called with the totals, some times a second.
         on_note: called with each line that a worker has for the person.
@@ -144,7 +147,7 @@ class Desk:
         cells: Iterable[Cell],
         baselines: Iterable[tuple[str, str]],
         jobs: int,
-        on_rows: Callable[[CellRows], None],
+        on_rows: Callable[[CellRows | Block], None],
         on_baseline: Callable[[str, dict[str, float]], None],
         on_progress: Callable[[Totals], None],
         on_note: Callable[[str], None] = lambda line: None,
@@ -163,6 +166,7 @@ class Desk:
         self._heard = [_Heard() for _ in range(self.workers)]
         self._done = Totals()
         """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
+        self._copies = False
         self._lock = threading.Lock()
 
     @property
@@ -202,6 +206,15 @@ class Desk:
             stopping.check()
             self._on_progress(self._totals())
 
+    def give_copies(self) -> None:
+        """From now on workers that have nothing left run what others have had for longest: for machines that differ."""
+        self._copies = True
+
+    def is_late(self, worker: int) -> bool:
+        """Whether all that this worker still has came from others: nobody needs to wait for it once all is done."""
+        with self._lock:
+            return self._sharing.is_late(worker)
+
     def lose(self, worker: int, places: Mapping[Cell, Place] = {}) -> None:
         """Take back what this worker had, which is gone, for others; for executors whose machines come and go.
 
@@ -233,8 +246,8 @@ class Desk:
                 cells = self._sharing.next_cells(worker)
                 places = {cell: self._places[cell] for cell in cells if cell in self._places}
                 return ("cells", cells, places) if places else ("cells", cells)
-            case ("rows", CellRows() as rows):
-                self._take(rows, self._heard[worker].machine)
+            case ("rows", CellRows() | Block() as rows):
+                self._take(worker, rows, self._heard[worker].machine)
             case ("machine", dict() as described):
                 self._heard[worker].machine = kind_of(described)
                 self._on_machine(described)
@@ -262,18 +275,37 @@ class Desk:
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
             heard.baseline = self._measure.popleft()
             return ("baseline", *heard.baseline)
+        copy = self._sharing.next_copy(worker) if self._copies else None
+        if copy is not None:
+            heard.since = time.monotonic()
+            return ("program", copy, self._orders.of(copy))
         return ("stop",)
 
-    def _take(self, rows: CellRows, machine: str) -> None:
+    def _take(self, worker: int, rows: CellRows | Block, machine: str) -> None:
         if machine:
             rows = dataclasses.replace(rows, machine=machine)
-        if not self._sharing.back(rows.cell):
-            raise Failure(f"rows of a cell came that no worker has: {rows.cell}")
-        work = self._sharing.works[program_of(rows.cell)]
-        work.finished += 1
-        work.finished_steps += int(rows.episodes["length"].sum())
-        work.finished_episodes += len(rows.episode)
-        self._on_rows(rows)
+        first = self._first(worker, rows)
+        if first is None:
+            return
+        for cell, _, lengths in first.runs:
+            work = self._sharing.works[program_of(cell)]
+            work.finished += 1
+            work.finished_steps += int(lengths.sum())
+            work.finished_episodes += len(lengths)
+        self._on_rows(first)
+
+    def _first(self, worker: int, rows: CellRows | Block) -> CellRows | Block | None:
+        """Those of the rows that have not come from another worker before."""
+        new = []
+        for place, cell in enumerate(rows.cells):
+            try:
+                if self._sharing.back(worker, cell):
+                    new.append(place)
+            except KeyError:
+                raise Failure(f"rows of a cell came that its worker has not: {cell}") from None
+        if len(new) == len(rows.cells):
+            return rows
+        return rows.chosen(new) if new and isinstance(rows, Block) else None
 
     def _reckon(self, worker: int, progress: Totals) -> None:
         """Put what a worker has done since it was last heard, and the time, down to its program."""

@@ -43,7 +43,7 @@ CLOSING = 3.0
 """Seconds that workers have to clear up at the end."""
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class Member:
     """A worker as the desk's side knows it."""
 
@@ -56,6 +56,8 @@ class Member:
     """Whether it has been given something to do; else nobody waits for it once all is done."""
     has: set[str] = dataclasses.field(default_factory=set)
     """Checkpoints that lie where it is."""
+    closing: Any = None
+    """What tells that it has cleared up."""
 
 
 class Crew:
@@ -68,8 +70,8 @@ class Crew:
         self._members: dict[int, Member] = {}
         self._heard: queue.SimpleQueue[tuple[Member, Any]] = queue.SimpleQueue()
         """What calls have come to: each member, and a future that is done."""
-        self._closing: list[Any] = []
-        """What tells that workers which had no more to do are gone."""
+        self._leaving: list[Member] = []
+        """Workers that have no more to do, and clear up what is theirs."""
         self._losses = dict.fromkeys(range(desk.workers), 0)
         self._saved: dict[int, tuple[str, Mapping[Cell, Place]]] = {}
         """The last checkpoint of each worker, and where its runs are."""
@@ -80,11 +82,12 @@ class Crew:
         self._told: dict[str, float] = {}
 
     def serve(self) -> None:
-        """Until all rows have come, and nobody is busy any more."""
+        """Until all rows have come, and nobody is busy any more but with what came from others."""
+        self._desk.give_copies()
         for number in range(self._desk.workers):
             self._hire(number)
         idle = time.monotonic()
-        while any(member.busy for member in self._members.values()) or not self._desk.done:
+        while not self._desk.done or any(map(self._is_awaited, self._members.values())):
             stopping.check()
             try:
                 member, future = self._heard.get(timeout=LOOK_SECONDS)
@@ -95,19 +98,30 @@ class Crew:
                 elif time.monotonic() - idle > PATIENCE:
                     self._tell("waiting", "no machine of the cluster has a free core: waiting for one")
                 continue
-            if self._members.get(member.number) is member:  # else it is gone, and so are its words
+            if member in self._leaving:
+                self._leaving.remove(member)
+                self._kill(member)  # its core is free for others then
+            elif self._members.get(member.number) is member:  # else it is gone, and so are its words
                 self._take(member, future)
 
     def dismiss(self) -> None:
-        """Ends all that are there; those that have a place clear it up."""
+        """Ends all that are there; those that have a place clear it up before.
+
+        Nobody waits for the ends of Ray's own processes, which take seconds.
+        """
         placed = [member for member in self._members.values() if member.machine is not None]
+        for member in placed:
+            member.closing = member.actor.close.remote()
+        closing = [member.closing for member in (*placed, *self._leaving)]
         with contextlib.suppress(Exception):
-            closing = [*self._closing, *(member.actor.close.remote() for member in placed)]
             if closing:
                 self._ray.wait(closing, num_returns=len(closing), timeout=CLOSING)
-        for member in self._members.values():
+        for member in (*self._members.values(), *self._leaving):
             self._kill(member)
-        self._members = {}
+        self._members, self._leaving = {}, []
+
+    def _is_awaited(self, member: Member) -> bool:
+        return member.busy and not self._desk.is_late(member.number)
 
     def _at_work(self) -> bool:
         return any(member.machine is not None for member in self._members.values())
@@ -150,7 +164,9 @@ class Crew:
             member.busy = answer != ("stop",)
         if answer == ("stop",):
             del self._members[member.number]
-            self._closing.append(member.actor.close.remote())  # its core is free for others then
+            self._leaving.append(member)
+            member.closing = member.actor.close.remote()
+            self._call(member, member.closing)
             return
         self._call(member, member.actor.hear.remote(answer and self._packed(member, answer)))
 
@@ -263,12 +279,9 @@ class Actor:
         return self._remote.hear(answer)
 
     def close(self) -> None:
-        """Ends the process, and this one."""
-        from ray.actor import exit_actor
-
+        """Ends the process, and removes what was its own; this one is killed then."""
         if self._remote is not None:
             self._remote.close()
-        exit_actor()
 
 
 def _reason(error: Exception) -> str:

@@ -4,7 +4,7 @@ The process is that of `gpcjax.sweep.executors.processes`, with its environment:
 may have loaded numpy long ago, and survives machine code that ends the process, so that its reason can be told.
 
 Words travel together: everything that was said since is fetched at once, at the latest after `patience` seconds, and
-at once when an answer is wanted. Of several reports of progress the last one goes.
+at once when an answer is wanted. Of several reports of progress the last one goes; of rows tables are made here.
 """
 
 import contextlib
@@ -17,12 +17,14 @@ import shutil
 import socket
 import tempfile
 import time
+from collections.abc import Sequence
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
 from gpcjax import elsewhere
 from gpcjax.sweep import machine
+from gpcjax.sweep.blocks import block_of
 from gpcjax.sweep.checkpoints import is_checkpoint
 from gpcjax.sweep.environment import worker_environment
 from gpcjax.sweep.executors.base import ASKS, Message, Orders
@@ -78,6 +80,7 @@ class Remote:
         environment = worker_environment()
         environment["PYTHONPATH"] += os.pathsep + str(self._folder / CODE)
         environment[elsewhere.VARIABLE] = json.dumps(parcel.open(self._folder))
+        self._varying: tuple[str, ...] = ()
         self._worker: _Worker = _start(0, environment)
         self._writes = True
 
@@ -100,7 +103,7 @@ class Remote:
                 if message[0] == "progress":
                     heard = [each for each in heard if each[0] != "progress"]
                 heard.append(message)
-        return pickle.dumps([*self._checkpoints(), *heard], protocol=5)
+        return pickle.dumps([*self._checkpoints(), *together(heard, self._varying)], protocol=5)
 
     def close(self) -> None:
         """Ends the process, and removes its folder."""
@@ -120,6 +123,7 @@ class Remote:
             unpack(archive, self._saved)
             self._sent.add(name)
         if isinstance(orders := answer[-1], Orders):
+            self._varying = orders.varying
             agree = {**orders.agree, "machine": self._kind} if orders.agree else {}
             local = None if orders.checkpoints is None else str(self._saved)
             answer = (*answer[:-1], dataclasses.replace(orders, checkpoints=local, agree=agree))
@@ -136,6 +140,13 @@ class Remote:
             return [("checkpoint", new[-1], pack([(self._saved / new[-1], new[-1])]))]
         except (OSError, ValueError):  # the worker has just put another one in its place
             return []
+
+
+def together(heard: Sequence[Message], varying: Sequence[str]) -> list[Message]:
+    """The messages, with the rows of all cells in them as one block; these come first."""
+    rows = [message[1] for message in heard if message[0] == "rows"]
+    others = [message for message in heard if message[0] != "rows"]
+    return [("rows", block_of(rows, varying)), *others] if rows else others
 
 
 _PREFIX, _LOCK = "gpcjax-worker-", "lock"
