@@ -70,7 +70,7 @@ class Contents:
     """
 
     def __init__(self, folder: Path, states: Sequence[State], digest: str):
-        self.folder, self.digest, self._states = folder, digest, states
+        self.folder, self.digest, self.states = folder, digest, states
         self._runs: dict[tuple[str, int], list[State]] = {}
         for state in states:
             if state.values:
@@ -83,7 +83,7 @@ class Contents:
             UserError: nothing here, or it does not say which; `place` begins the message.
         """
         told = f"{place} {self.folder}"
-        held = list(dict.fromkeys(state.card["algo"] for state in self._states))
+        held = list(dict.fromkeys(state.card["algo"] for state in self.states))
         algo = next((name for name in (cell.algo, *RELATIVES.get(cell.algo, ())) if name in held), None)
         if algo is None:
             raise UserError(
@@ -91,7 +91,7 @@ class Contents:
                 f"give --algo {','.join(held)}, or another folder"
             )
         if not self._runs:
-            (state,) = self._states
+            (state,) = self.states
             return state
         found = self._runs.get((algo, cell.seed), [])
         if not found:
