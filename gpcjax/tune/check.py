@@ -7,10 +7,10 @@ from typing import Any
 
 from gpcjax.report.compare import Comparison, compare
 from gpcjax.sweep.executors import Executor
-from gpcjax.sweep.progress import Watcher
 from gpcjax.sweep.run import run
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.telling import Watcher
 
 CHECK, USUAL, TUNED = "check", "usual", "tuned"
 
