@@ -108,7 +108,7 @@ class Work:
     @property
     def usual_compiling(self) -> float:
         """Seconds until a worker has the program, likewise."""
-        return self.before.compiling if self.before else costs.compiling(self.algo)
+        return self.before.compiling if self.before else costs.compiling(self.algo) * costs.tiers(self.algo)
 
     @property
     def took(self) -> Cost | None:
@@ -162,7 +162,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         return 0.0
     seen = [work for work in works if is_seen(work)]
     usual = sum(_usual(work) * work.done for work in seen)
-    speed = sum(work.seconds for work in seen) / usual if usual else 1.0
+    speed = sum(work.seconds for work in seen) / usual if usual else max(work.slowness for work in works)
     bound, free, to_compile = {}, {}, {}
     """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
     compiling = _compiling(works)
@@ -176,15 +176,11 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = _to_compile(work, compiling)
-        further = 0.0
-        """Programs of larger tiers, which come later."""
-        if stepping and work.before:
-            further = max(compile_left - work.compile_seconds / work.joined - work.compiling_for, 0.0)
+        further = _further(work, compiling)
         if stepping or work.steps:  # it joined another; since when is not known
-            compile_left /= 2
+            compile_left = _to_compile(work, compiling) / 2
         else:
-            compile_left -= work.compile_seconds / work.workers
+            compile_left = _to_compile(work, compiling) - work.compile_seconds / work.workers
             compile_left = overdue(compile_left, work.compiling_for)
         for number, _ in enumerate(same):
             if number < stepping:
@@ -216,7 +212,10 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         if fresh or shared:
             index = fresh[0] if fresh else max(shared, key=lambda each: cells[each])
             taken.add(index)
-            heapq.heappush(ends, (now + to_compile[index], index))
+            # Who joins late hardly gets to the larger tiers.
+            told = works[index].paces.compiled or not works[index].steps
+            tiers = costs.tiers(works[index].algo) if told and not fresh else 1
+            heapq.heappush(ends, (now + to_compile[index] / tiers, index))
     return last
 
 
@@ -276,10 +275,28 @@ def _shared(work: Work, seconds: float) -> Left:
 def _compiling(works: Sequence[Work]) -> float:
     """How much longer compilations take than those in the table, where programs did not run here before."""
     begun = [work for work in works if work.steps and not work.before]
-    usual = sum(work.usual_compiling * work.joined for work in begun)
-    return sum(work.compile_seconds for work in begun) / usual if usual else 1.0
+    compiled = (work.paces.compiled or costs.tiers(work.algo) for work in begun)
+    usual = sum(
+        costs.compiling(work.algo) * tiers * work.joined for work, tiers in zip(begun, compiled, strict=True)
+    )
+    if not usual:
+        return max(work.slowness for work in works)
+    return sum(work.compile_seconds for work in begun) / usual
 
 
 def _to_compile(work: Work, compiling: float) -> float:
     """Seconds until a worker has all that it needs of a program."""
     return work.usual_compiling * (work.slowness if work.before else compiling)
+
+
+def _further(work: Work, compiling: float) -> float:
+    """Seconds until a worker that steps has the programs of larger tiers too."""
+    if work.before:
+        spent = work.compile_seconds / max(work.joined, 1) + work.compiling_for
+        return max(_to_compile(work, compiling) - spent, 0.0)
+    if not work.paces.compiled:
+        return 0.0
+    # Runs that get so far come with time.
+    expected = (costs.tiers(work.algo) - work.paces.compiled) * (1 - work.done)
+    tiers = max(expected, work.paces.waiting)
+    return overdue(tiers * costs.compiling(work.algo) * compiling, work.compiling_for) if tiers > 0 else 0.0

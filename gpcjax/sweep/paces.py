@@ -78,6 +78,18 @@ class Paces:
         """That blocks were advanced."""
         return sum(pace.seconds for paces in self._all() for pace in paces)
 
+    @property
+    def compiled(self) -> int:
+        """Tiers that a worker has compiled, of which some run."""
+        return max((sum(pace.seconds > 0 for pace in paces) for paces in self._all()), default=0)
+
+    @property
+    def waiting(self) -> int:
+        """Tiers in which runs wait that have not been compiled."""
+        return max(
+            (sum(pace.left > 0 and not pace.seconds for pace in paces) for paces in self._all()), default=0
+        )
+
     def left(self, begun: int, free: int) -> Left | None:
         """What is left, as far as that can be told.
 
