@@ -26,7 +26,7 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 7.0, "gpc-ns": 10.0, "coach": 2.5, "d-coach": 20.0}
+_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 2.0, "d-coach": 20.0}
 """Seconds until the programs of one tier are compiled."""
 
 _TIERS = {"gpc": 3, "gpc-ns": 3}
