@@ -6,8 +6,9 @@ Each sweep of `SWEEPS` runs once undisturbed. Then it is begun in a new folder a
 one and killed again, until it gets to its end; and then anew, until there were as many kills as wanted. What is killed
 is drawn: the parent by SIGKILL (its workers must be gone within a second), one of its workers, or the parent by a
 signal that it hears (SIGTERM, SIGHUP, SIGINT), once or twice. The moment is drawn too, from the start of Python to the
-report. After each kill what is there must be rows of the undisturbed sweep; at the end all of them, with what was kept,
-to the bit.
+report; or it is an exact one of `tests.killed_at`: within the writing of the manifest, of a part or of the report, or
+while a worker compiles, with nothing kept of earlier compilations. After each kill what is there must be rows of the
+undisturbed sweep; at the end all of them, with what was kept, to the bit.
 """
 
 import argparse
@@ -27,9 +28,11 @@ import numpy as np
 import pandas as pd
 
 from gpcjax.errors import UserError
+from gpcjax.sweep.environment import CACHE
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
+from tests.killed_at import COMPILES, MOMENTS
 from tests.sweep.processes import alive, workers_of
 
 ROOT = Path(__file__).parent.parent
@@ -42,6 +45,11 @@ CHECKPOINT = "0.5"
 PATIENCE = 3600.0
 """Seconds until a sweep that should end is taken to hang: a busy machine is slow."""
 
+EXACT = 0.5
+"""Part of the kills whose moment is exact."""
+LATEST = 24
+"""Largest count of what happens before one of these."""
+
 OUTLIVES = 1.0
 """Seconds that a worker may live on after its parent."""
 HEARD = {signal.SIGTERM: 143, signal.SIGHUP: 129, signal.SIGINT: 130}
@@ -53,6 +61,8 @@ class Tally:
 
     kills: collections.Counter = field(default_factory=collections.Counter)
     finished: collections.Counter = field(default_factory=collections.Counter)
+    outlived: float = 0.0
+    """Longest time that workers lived after their parent, in seconds."""
     wrong: list[str] = field(default_factory=list)
 
 
@@ -77,7 +87,7 @@ def torture(kills: int, seed: int, sweeps: dict[str, str] | None = None) -> Iter
         what = ", ".join(f"{count} {kind}" for kind, count in tally.kills.most_common())
         print(
             f"{name}: {sum(tally.kills.values())} kills ({what}), {tally.finished['same']} sweeps to the same bits, "
-            f"{time.monotonic() - began:.0f} s",
+            f"{time.monotonic() - began:.0f} s, workers gone after {tally.outlived:.3f} s at most",
             flush=True,
         )
         yield from (f"{name}: {line}" for line in tally.wrong)
@@ -109,9 +119,20 @@ def _until_it_ends(
     """Runs and kills one sweep until it gets to its end."""
     while not tally.wrong:
         with tempfile.TemporaryFile("w+") as said:
-            running = subprocess.Popen(command, cwd=ROOT, stdout=said, stderr=said, start_new_session=True)
+            moment, given, environment = "", command, dict(os.environ)
+            if sum(tally.kills.values()) < wanted and random.random() < EXACT:
+                moment = str(random.choice(MOMENTS))
+                count = int(random.integers(1, 4 if moment in COMPILES else LATEST))
+                given = [*command[:2], "tests.killed_at", moment, str(count), *command[3:]]
+                if moment in COMPILES:
+                    environment[CACHE] = str(out.with_name(f"cache-{sum(tally.kills.values())}"))
+            running = subprocess.Popen(
+                given, cwd=ROOT, env=environment, stdout=said, stderr=said, start_new_session=True
+            )
             kind, status = "", None
-            if sum(tally.kills.values()) < wanted:
+            if moment:
+                kind = _wait_for(running, moment, tally)
+            elif sum(tally.kills.values()) < wanted:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     running.wait(float(random.uniform(0.05, 0.9 * usual)))
                 kind = _kill(running, random, tally) if running.poll() is None else ""
@@ -135,6 +156,30 @@ def _until_it_ends(
             return
 
 
+def _wait_for(running: subprocess.Popen, moment: str, tally: Tally) -> str:
+    """Waits until a process has killed itself, or one of its workers, or is at its end; says what."""
+    workers: list[int] = []
+    until = time.monotonic() + PATIENCE
+    while running.poll() is None and time.monotonic() < until:
+        workers = workers_of(running.pid) or workers
+        time.sleep(0.01)
+    if running.returncode == -signal.SIGKILL:
+        _see_them_gone(workers, tally)
+        return moment
+    return moment if moment == "worker compiles" and running.returncode else ""
+
+
+def _see_them_gone(workers: list[int], tally: Tally) -> None:
+    limit = time.monotonic() + OUTLIVES
+    began = time.monotonic()
+    while any(map(alive, workers)):
+        if time.monotonic() > limit:
+            tally.wrong.append(f"a worker lives {OUTLIVES} s after its parent")
+            break
+        time.sleep(0.001)
+    tally.outlived = max(tally.outlived, time.monotonic() - began)
+
+
 def _kill(running: subprocess.Popen, random: np.random.Generator, tally: Tally) -> str:
     """Kills something of a sweep; says what."""
     workers = workers_of(running.pid)
@@ -153,12 +198,7 @@ def _kill(running: subprocess.Popen, random: np.random.Generator, tally: Tally) 
         return number.name
     running.kill()
     running.wait()
-    limit = time.monotonic() + OUTLIVES
-    while any(map(alive, workers)):
-        if time.monotonic() > limit:
-            tally.wrong.append(f"a worker lives {OUTLIVES} s after its parent")
-            break
-        time.sleep(0.01)
+    _see_them_gone(workers, tally)
     return "parent"
 
 
@@ -170,7 +210,8 @@ def _judge(
         tally.wrong.append(f"{kind}: {text[-2000:]}")
     # A signal before Python listens ends it as the system has it; a worker's end may come too late to count.
     heard = {f"{number.name}": (status_, -int(number), 0) for number, status_ in HEARD.items()}
-    allowed = {"parent": (-int(signal.SIGKILL),), "worker": (0, 1), **heard}[kind]
+    killed = dict.fromkeys(("parent", *MOMENTS), (-int(signal.SIGKILL),))
+    allowed = {**killed, "worker": (0, 1), "worker compiles": (1,), **heard}[kind]
     if status not in allowed:
         tally.wrong.append(f"{kind}: it ended with {status}: {text[-2000:]}")
     if (out / MANIFEST).exists() and any((out / EPISODES).glob("*.parquet")):

@@ -17,9 +17,9 @@ import gpcjax
 from gpcjax import cli
 from gpcjax.cli import words as grammar
 from gpcjax.report.live import Live
+from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import specification_hash
-from gpcjax.sweep.progress import JsonLines
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.folders import begun
 

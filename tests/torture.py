@@ -35,11 +35,13 @@ from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import Rows, read, read_kept
 from gpcjax.sweep.run import run
+from gpcjax.sweep.sources import contents_of
 from gpcjax.sweep.spec import spec_of
 from tests import kills
 from tests.sweep.pretended import Pretended
 
 SETTINGS = {"env": "cartpole", "episodes": 3, "oracle": "lqr", "error": 0.1, "delta": [0.0, 0.05]}
+FIRST = spec_of(algo=["gpc", "coach"], seeds=1, **SETTINGS)
 SPEC = spec_of(algo=["gpc", "coach"], seeds=2, **SETTINGS)
 OTHER = spec_of(algo="gpc", seeds=3, sparsify=False, **SETTINGS)
 FOLDERS = (EPISODES, CORRECTIONS, KEPT)
@@ -263,11 +265,12 @@ FAULTS: dict[str, Callable[[Case], None]] = {
 }
 
 
-def finished(out: Path, spec=SPEC) -> Path:
-    """A whole sweep, a part for each cell."""
+def finished(out: Path, spec=SPEC, first=None) -> Path:
+    """A whole sweep, a part for each cell; of a folder that grew, if it was asked for `first` before."""
     out.mkdir()
     with _workers(), mock.patch.object(run_module, "FLUSH_SECONDS", -1.0):
-        run(spec, out, 1)
+        for each in filter(None, (first, spec)):
+            run(each, out, 1)
     return out
 
 
@@ -291,6 +294,7 @@ def judge(case: Case, reference: Rows, learned: pd.DataFrame, sealed: bool) -> s
         AssertionError: it was not right.
     """
     lines: list[str] = []
+    _assert_begins_with_some_of(case.out, learned)
     try:
         got = read(case.out, lines.append)
     except UserError as error:
@@ -327,7 +331,8 @@ def judge(case: Case, reference: Rows, learned: pd.DataFrame, sealed: bool) -> s
 def torture(cases: int, seed: int, sealed: bool = True) -> Iterator[tuple[str, str | None, str]]:
     """The names of the faults of each case, what became of it (None: it was not right), and why."""
     with tempfile.TemporaryDirectory() as folder:
-        whole, other = finished(Path(folder, "whole")), finished(Path(folder, "other"), OTHER)
+        whole = finished(Path(folder, "whole"), first=FIRST if sealed else None)
+        other = finished(Path(folder, "other"), OTHER)
         if not sealed:
             whole = unsealed(Path(folder, "unsealed"), whole)
         reference, learned = read(whole), read_kept(whole)
@@ -380,6 +385,41 @@ def _assert_some_of(got: Rows, reference: Rows) -> None:
         )
 
 
+def _checkpoints(cases: int, seed: int) -> int:
+    """Those of a sweep that was killed in the middle of its runs, spoiled as often; how many were not right."""
+    from tests import torture_underway  # which takes faults from here
+    from tests.sweep.test_underway import COMPILED, KEEP, killed_under_way
+
+    with tempfile.TemporaryDirectory() as folder:
+        out, began = killed_under_way(Path(folder), COMPILED | KEEP), time.monotonic()
+        judged = list(torture_underway.torture(out, cases, seed))
+    for name, status, why in judged:
+        if status is None:
+            print(f"{name}\n{why}")
+    what = ", ".join(
+        f"{count} {status or 'WRONG'}"
+        for status, count in collections.Counter(status for _, status, _ in judged).most_common()
+    )
+    print(f"checkpoints: {cases} times spoiled in {time.monotonic() - began:.0f} s: {what}")
+    return sum(status is None for _, status, _ in judged)
+
+
+def _assert_begins_with_some_of(out: Path, learned: pd.DataFrame) -> None:
+    """What a sweep would begin with (`--start`) is what was kept of that run, or nothing of the folder is taken."""
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        try:
+            contents = contents_of(out, "start")
+            taken = [(state, contents.packed(state)) for state in contents.states]
+        except UserError as error:
+            assert "\n" not in str(error)
+            return
+    assert "Traceback" not in said.getvalue()
+    columns = [*KEYS, "card", "arrays"]
+    kept = {tuple(row[:-2]): tuple(row[-2:]) for row in learned[columns].itertuples(index=False)}
+    for state, packed in taken:
+        assert kept[tuple(state.values[name] for name in KEYS)] == packed
+
+
 def main() -> int:
     """Says how many cases became what, and prints those that were not right."""
     parser = argparse.ArgumentParser(
@@ -400,6 +440,7 @@ def main() -> int:
         what = ", ".join(f"{count} {status}" for status, count in counts.most_common())
         form = "format 3" if sealed else "format 2, without checksums"
         print(f"{form}: {arguments.cases} spoiled folders in {time.monotonic() - began:.0f} s: {what}")
+    wrong += _checkpoints(arguments.cases, arguments.seed)
     killed = list(kills.torture(arguments.kills, arguments.seed))
     print("\n".join(killed) if killed else "no kill did any harm")
     return os.EX_OK if not wrong and not killed else 1

@@ -146,7 +146,8 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
 
 def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
     with _keeping(out):
-        from gpcjax.sweep.progress import Bar, JsonLines
+        from gpcjax.sweep.jsonlines import JsonLines
+        from gpcjax.sweep.progress import Bar
         from gpcjax.sweep.run import run
 
         _note()

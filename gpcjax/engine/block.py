@@ -15,6 +15,7 @@ import numpy as np
 from gpcjax.engine.host import HostLoop
 from gpcjax.engine.identity import Keeper, Unknown, digest
 from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
+from gpcjax.engine.pace import Pace
 from gpcjax.engine.rollout import Loop
 from gpcjax.gp.batching import together
 
@@ -98,6 +99,7 @@ class Block:
         self._structure: Any = None
         self._programs: dict[str, Callable[..., Any]] = {}
         self._rounds = 16
+        self._pace = Pace(tier.lanes)
 
     @property
     def lanes(self) -> Lane:
@@ -116,6 +118,17 @@ class Block:
     @property
     def work(self) -> int:
         return len(self.runs) + len(self.waiting)
+
+    @property
+    def pace(self) -> Pace:
+        """How fast its lanes go, and what they and those that wait have left."""
+        if not self.work:
+            return self._pace
+        left = [int(lane.episodes) - int(lane.episode) for _, lane in self.waiting]
+        if self.runs:
+            block, places = self.lanes, list(self.runs)
+            left += (np.asarray(block.episodes) - np.asarray(block.episode))[places].tolist()
+        return self._pace._replace(left=sum(left), longest=max(left))
 
     def begin(self, starts: Sequence[Start]) -> None:
         """Puts new lanes into free places."""
@@ -154,6 +167,13 @@ class Block:
         self._rounds = int(np.clip(wanted, self._rounds / 2, 2 * self._rounds))
         self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._counters.chunks += 1
+        pace = self._pace
+        self._pace = Pace(
+            pace.lanes,
+            pace.seconds + elapsed,
+            pace.lane_seconds + elapsed * len(self.runs),
+            pace.episodes + after[1] - before[1],
+        )
 
     def paused(self) -> list[tuple[Occupant, Lane]]:
         """Copies of the lanes that wait to be kept, with their runs; they go on where they are."""

@@ -23,6 +23,7 @@ from gpcjax.engine.host import HostLoop
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Lane, Phase, Start
+from gpcjax.engine.pace import Pace
 from gpcjax.engine.rollout import Loop
 from gpcjax.engine.snapshots import NotResumed, Snapshot, fitted
 from gpcjax.envs.base import Env
@@ -182,6 +183,10 @@ class Pool:
                     keep(Kept(run.name, int(lane.episode), lane))
                 deliver(Finished(run.name, lane))
             look()
+
+    def paces(self) -> tuple[Pace, ...]:
+        """How fast the lanes of each tier go, and what they have left; for `look`, too."""
+        return tuple(block.pace for block in self._blocks)
 
     def snapshot(self) -> list[Snapshot]:
         """Every run that is in the pool, as it is between two chunks: for `look`, which is called there.

@@ -26,7 +26,11 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 1.6, "d-coach": 20.0}
+_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 2.0, "d-coach": 20.0}
+"""Seconds until the programs of one tier are compiled."""
+
+_TIERS = {"gpc": 3, "gpc-ns": 3}
+"""Tiers that runs with the usual settings get to, of learners with a dictionary."""
 
 _EPISODE_OF_OTHERS, _COMPILING_OTHERS = 1e-3, 5.0
 """Of a task or a learner that is not in the tables: a guess that holds until it has been seen."""
@@ -38,5 +42,10 @@ def of_episode(env: str, algo: str, oracle: str) -> float:
 
 
 def compiling(algo: str) -> float:
-    """Seconds until a learner's programs are compiled."""
+    """Seconds until a learner's programs of one tier are compiled."""
     return _COMPILING.get(algo, _COMPILING_OTHERS)
+
+
+def tiers(algo: str) -> int:
+    """How many tiers of dictionaries runs usually get to: each is compiled when the first one does."""
+    return _TIERS.get(algo, 1)

@@ -2,16 +2,27 @@
 
 import heapq
 import itertools
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from gpcjax.registry import find
 from gpcjax.sweep import costs
 from gpcjax.sweep.experience import LEAST_DONE, Cost
+from gpcjax.sweep.paces import Left, Paces
 from gpcjax.sweep.plan import Program
 
 JOIN = 48
 """A program that another worker already runs must have this many cells left to be worth compiling a second time."""
+
+KNOWN = 0.15
+"""How far off the seconds of a program usually are, as a part of all, where it ran here before."""
+
+LATE = 0.25
+"""What is late takes as much longer, as a part of the time since it began."""
+
+MEASURED = 0.4
+"""How far off what is left usually is by the pace so far, as a part of it."""
 
 
 @dataclass
@@ -47,7 +58,19 @@ class Work:
     recent_episodes: float = 0.0
     """Of the last seconds: what an episode takes by now, where learners live longer and longer."""
     before: Cost | None = None
-    """What the program took when it ran here the last time."""
+    """What the program took when it ran here the last time, of a core that does nothing else."""
+    paces: Paces = field(default_factory=Paces)
+    """How fast its workers are."""
+    heard_seconds: float = 0.0
+    """Between words of its workers, compilations among them."""
+    processor_seconds: float = 0.0
+    """That these workers had of a core meanwhile."""
+    slowness: float = 1.0
+    """Seconds that a second of a core takes by now: more than one where others are on it."""
+    ready_in: float = 0.0
+    """Seconds until the workers are there at all."""
+    compiling_for: float = 0.0
+    """Seconds that a worker has been compiling by now."""
 
     def add(self, steps: int, episodes: int, compile_seconds: float) -> None:
         """Take in what a worker has done since it was last heard."""
@@ -85,14 +108,15 @@ class Work:
     @property
     def usual_compiling(self) -> float:
         """Seconds until a worker has the program, likewise."""
-        return self.before.compiling if self.before else costs.compiling(self.algo)
+        return self.before.compiling if self.before else costs.compiling(self.algo) * costs.tiers(self.algo)
 
     @property
     def took(self) -> Cost | None:
-        """What the program took now; None if too little of it was done to tell."""
+        """What the program took of a core; None if too little of it was done to tell."""
         if self.done < LEAST_DONE or not self.done_episodes or not self.joined:
             return None
-        return Cost(self.seconds / self.done_episodes, self.compile_seconds / self.joined)
+        share = min(self.processor_seconds / self.heard_seconds, 1.0) if self.heard_seconds > 1.0 else 1.0
+        return Cost(share * self.seconds / self.done_episodes, share * self.compile_seconds / self.joined)
 
     @property
     def steps_left(self) -> float:
@@ -138,43 +162,36 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         return 0.0
     seen = [work for work in works if is_seen(work)]
     usual = sum(_usual(work) * work.done for work in seen)
-    speed = sum(work.seconds for work in seen) / usual if usual else 1.0
-    begun = [work for work in works if work.steps]
-    usual_compiling = sum(work.usual_compiling * work.joined for work in begun)
-    compiling = sum(work.compile_seconds for work in begun) / usual_compiling if usual_compiling else 1.0
-
+    speed = sum(work.seconds for work in seen) / usual if usual else max(work.slowness for work in works)
     bound, free, to_compile = {}, {}, {}
     """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
+    compiling = _compiling(works)
     for index, work in enumerate(works):
         if work.finished >= work.cells:
             continue
-        seconds = (
-            work.seconds * (1 - work.done) / work.done
-            if is_seen(work)
-            else _usual(work) * speed * (1 - work.done)
-        )
-        # All may be stepped, and its rows not here yet: those of a worker that was lost are made again.
-        of_free = work.steps_free / work.steps_left if work.steps and work.steps_left else 1.0
-        free[index], bound[index] = seconds * of_free, seconds * (1 - of_free)
-        to_compile[index] = work.usual_compiling * compiling
+        bound[index], free[index] = _left(work, speed)
+        to_compile[index] = _to_compile(work, compiling)
     at = [index for index, work in enumerate(works) for _ in range(work.workers)]
     ends = []
     """When each worker has done what it has now, and where it is."""
     for index, same in itertools.groupby(at):
         work, stepping = works[index], works[index].workers - works[index].starting
-        compile_left = work.usual_compiling * compiling
+        further = _further(work, compiling)
         if stepping or work.steps:  # it joined another; since when is not known
-            compile_left /= 2
+            compile_left = _to_compile(work, compiling) / 2
         else:
-            compile_left = max(compile_left - work.compile_seconds / work.workers, 0.0)
+            compile_left = _to_compile(work, compiling) - work.compile_seconds / work.workers
+            compile_left = overdue(compile_left, work.compiling_for)
         for number, _ in enumerate(same):
             if number < stepping:
-                ends.append((bound.get(index, 0.0) / stepping, index))
+                ends.append((further + bound.get(index, 0.0) / stepping, index))
             else:
                 ends.append(
                     (compile_left + (0.0 if stepping else bound.get(index, 0.0) / work.workers), index)
                 )
     ends += [(0.0, -1)] * (jobs - len(ends))
+    ready = max((work.ready_in for work in works), default=0.0)
+    ends = [(max(when, ready), index) for when, index in ends]
     last, taken, at_first = 0.0, set(at), dict(free)
     heapq.heapify(ends)
     while ends:
@@ -195,8 +212,16 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         if fresh or shared:
             index = fresh[0] if fresh else max(shared, key=lambda each: cells[each])
             taken.add(index)
-            heapq.heappush(ends, (now + to_compile[index], index))
+            # Who joins late hardly gets to the larger tiers.
+            told = works[index].paces.compiled or not works[index].steps
+            tiers = costs.tiers(works[index].algo) if told and not fresh else 1
+            heapq.heappush(ends, (now + to_compile[index] / tiers, index))
     return last
+
+
+def overdue(expected: float, elapsed: float) -> float:
+    """Seconds until the end of what was expected to take so long, and has not ended yet."""
+    return max(expected - elapsed, LATE * elapsed)
 
 
 def is_seen(work: Work) -> bool:
@@ -206,3 +231,72 @@ def is_seen(work: Work) -> bool:
 
 def _usual(work: Work) -> float:
     return work.cells * work.episodes * work.usual_episode
+
+
+def _expected(work: Work, speed: float) -> float:
+    """Seconds of the whole program: as it was before, or as such programs usually are, at this `speed`."""
+    return _usual(work) * (work.slowness if work.before else speed)
+
+
+def _left(work: Work, speed: float) -> Left:
+    """What is left of a program: by its pace so far, and by what was expected, as far as either is to be trusted.
+
+    The pace tells little at first, as runs that have begun are no sample of those that have not, and all in the end.
+    """
+    whole = _expected(work, speed)
+    if not is_seen(work):
+        return _shared(work, whole * (1 - work.done))
+    by_pace = work.paces.left(work.begun, work.cells - work.begun)
+    if by_pace is None:
+        by_pace = _shared(work, work.seconds * (1 - work.done) / work.done)
+    else:  # beside its blocks a worker takes lanes out, and hands in rows
+        beside = max(work.seconds / max(work.paces.seconds, 1e-9), 1.0)
+        by_pace = Left(beside * by_pace.bound, beside * by_pace.free)
+    seconds = sum(by_pace)
+    if not work.before or not seconds:
+        return by_pace
+    # An expectation that has been wrong so far is not to be trusted either.
+    odd = abs(math.log(work.seconds / (whole * work.done)))
+    expected, measured = KNOWN + odd * work.done / 2, MEASURED * (1 - work.done)
+    trust = expected**2 / (expected**2 + measured**2)
+    both = trust * seconds + (1 - trust) * max(whole - work.seconds, 0.0)
+    return Left(by_pace.bound * both / seconds, by_pace.free * both / seconds)
+
+
+def _shared(work: Work, seconds: float) -> Left:
+    """As the steps of runs that are under way are to those that are not begun.
+
+    All may be stepped, and its rows not here yet: those of a worker that was lost are made again.
+    """
+    free = work.steps_free / work.steps_left if work.steps and work.steps_left else 1.0
+    return Left(seconds * (1 - free), seconds * free)
+
+
+def _compiling(works: Sequence[Work]) -> float:
+    """How much longer compilations take than those in the table, where programs did not run here before."""
+    begun = [work for work in works if work.steps and not work.before]
+    compiled = (work.paces.compiled or costs.tiers(work.algo) for work in begun)
+    usual = sum(
+        costs.compiling(work.algo) * tiers * work.joined for work, tiers in zip(begun, compiled, strict=True)
+    )
+    if not usual:
+        return max(work.slowness for work in works)
+    return sum(work.compile_seconds for work in begun) / usual
+
+
+def _to_compile(work: Work, compiling: float) -> float:
+    """Seconds until a worker has all that it needs of a program."""
+    return work.usual_compiling * (work.slowness if work.before else compiling)
+
+
+def _further(work: Work, compiling: float) -> float:
+    """Seconds until a worker that steps has the programs of larger tiers too."""
+    if work.before:
+        spent = work.compile_seconds / max(work.joined, 1) + work.compiling_for
+        return max(_to_compile(work, compiling) - spent, 0.0)
+    if not work.paces.compiled:
+        return 0.0
+    # Runs that get so far come with time.
+    expected = (costs.tiers(work.algo) - work.paces.compiled) * (1 - work.done)
+    tiers = max(expected, work.paces.waiting)
+    return overdue(tiers * costs.compiling(work.algo) * compiling, work.compiling_for) if tiers > 0 else 0.0

@@ -11,7 +11,8 @@ from typing import Any
 from rich.console import Console
 
 from gpcjax.sweep.estimate import Work
-from gpcjax.sweep.progress import Bar, State, Told, Watcher
+from gpcjax.sweep.progress import Bar
+from gpcjax.sweep.telling import State, Told, Watcher
 
 APART = 0.5
 """Seconds between two pictures at least: each goes to the browser."""

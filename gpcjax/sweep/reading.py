@@ -1,6 +1,6 @@
 """The rows of a run folder as pandas frames. Loads no jax."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +72,28 @@ def read_kept(out: Path, say: Say = warn) -> pd.DataFrame:
     tables = _once(out, manifest, found, {EPISODES: [*IDENTITY, *varying], KEPT: None})
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return _frame(tables[KEPT], varying, ["episode"])
+
+
+def kept_parts(
+    out: Path, columns: Sequence[str] | None = None, say: Say = warn
+) -> Iterator[tuple[str, pa.Table]]:
+    """The same as `read_kept`, one part in memory at a time: its name, and the rows of it that count.
+
+    Args:
+        out: the run folder.
+        columns: of what was kept, beside those that tell runs apart; None for all.
+        say: as in `read`.
+
+    Raises:
+        UserError: as `read_kept`.
+    """
+    manifest = read_manifest(out)
+    keys, found = [*IDENTITY, *manifest["varying"]], Found()
+    chosen = None if columns is None else [*keys, *columns]
+    for part, tables in _parts_once(out, manifest, found, {EPISODES: keys, KEPT: chosen}):
+        if KEPT in tables:
+            yield part, tables[KEPT]
+    found.speak(out, say, "left out, the same sweep computes what is missing again")
 
 
 def load(out: Any) -> pd.DataFrame:
@@ -149,17 +171,29 @@ def _once(
     out: Path, manifest: Mapping[str, Any], found: Found, wanted: Mapping[str, Sequence[str] | None]
 ) -> dict[str, list[pa.Table]]:
     """The wanted tables of all whole parts by folder, the episodes among them, without cells that came before."""
-    keys, tables = [*IDENTITY, *manifest["varying"]], {folder: [] for folder in wanted}
+    tables: dict[str, list[pa.Table]] = {folder: [] for folder in wanted}
+    for _, some in _parts_once(out, manifest, found, wanted):
+        for folder, table in some.items():
+            tables[folder].append(table)
+    return tables
+
+
+def _parts_once(
+    out: Path, manifest: Mapping[str, Any], found: Found, wanted: Mapping[str, Sequence[str] | None]
+) -> Iterator[tuple[str, dict[str, pa.Table]]]:
+    """The same part by part, with its name."""
+    keys = [*IDENTITY, *manifest["varying"]]
     seen: set[tuple[Any, ...]] = set()
     for part in whole_parts(out, manifest, found, wanted):
         cells = cells_of(part.tables[EPISODES], keys)
         new, old = cells - seen, cells & seen
         found.repeated += len(old)
         seen |= new
+        tables = {}
         for folder, table in part.tables.items():
             names = list(map(correction_column, keys)) if folder == CORRECTIONS else keys
-            tables[folder].append(_of_cells(table, names, new) if old else table)
-    return tables
+            tables[folder] = _of_cells(table, names, new) if old else table
+        yield part.name, tables
 
 
 def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]]) -> pa.Table:

@@ -23,7 +23,6 @@ from gpcjax.sweep.notebook import usual_watcher
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
-from gpcjax.sweep.progress import State, Watcher
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
@@ -31,6 +30,7 @@ from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
+from gpcjax.sweep.telling import State, Watcher
 from gpcjax.sweep.versions import versions
 
 FLUSH_SECONDS = 2.0
@@ -257,6 +257,7 @@ class _Sweep:
             on_note=tell,
             orders=orders,
             before=lambda programs: experience.of(programs, cache_folder()),
+            starts=experience.start_of(cache_folder()),
             on_machine=lambda described: _note_machine(out, manifest, described),
         )
         works = tuple(self._desk.works.values())
@@ -275,7 +276,7 @@ class _Sweep:
                     self._flush()
                     took = {program: work.took for program, work in self._desk.works.items()}
                     known = {program: cost for program, cost in took.items() if cost is not None}
-                    experience.learn(known, cache_folder())
+                    experience.learn(known, cache_folder(), self._desk.started)
             _forget_idle_machines(self._manifest, self._store.machines)
             # What was asked for before may have been interrupted, and is not asked for now.
             self._save(complete=self._store.cells >= self._manifest["cells"])

@@ -19,9 +19,10 @@ BATCH = 16
 class Sharing:
     """The cells that are not done, by program, and who has which of them.
 
-    A worker compiles a program, then takes cells of it, a few at a time, until there are none. Programs go out in
-    their order, each to a worker of its own; a worker that finds none left joins the one with most cells to do, where
-    they are worth compiling it once more.
+    A worker compiles a program, then takes cells of it, a few at a time, until there are none: first those of the first
+    seed, so that the runs which are over, of which tables are made and times reckoned, are a sample of all. Programs go
+    out in their order, each to a worker of its own; a worker that finds none left joins the one with most cells to do,
+    where they are worth compiling it once more.
 
     Where machines differ, one that has nothing left takes copies of what another one has had for longest: nobody waits
     for a slow one, or for one that hangs. The rows that come first count.
@@ -34,7 +35,7 @@ class Sharing:
 
     def __init__(self, cells: Iterable[Cell], workers: int, before: Before = lambda programs: {}):
         self._left: dict[Program, deque[Cell]] = {}
-        for cell in cells:
+        for cell in sorted(cells, key=lambda cell: cell.seed):
             self._left.setdefault(program_of(cell), deque()).append(cell)
         self._sizes = {program: len(cells) for program, cells in self._left.items()}
         self._workers = workers
@@ -148,6 +149,7 @@ class Sharing:
         self._copies.pop(worker, None)
         program = self._at.pop(worker, None)
         if program is not None:
+            self.works[program].paces.leave(worker)
             self.works[program].workers -= 1
             self.works[program].starting -= worker not in self._stepping
         self._stepping.discard(worker)

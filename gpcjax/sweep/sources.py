@@ -1,23 +1,31 @@
 """Folders that runs begin with: what is learned there, and which of it a run takes. Loads no jax.
 
-Such a folder is a run folder with kept states, of which the newest of each run counts, or one saved learner.
+Such a folder is a run folder with kept states, of which the newest of each run counts, or one saved learner. Of the
+states themselves no more is in memory than one part of the folder: they may be gigabytes, and each worker reads some.
 """
 
+import functools
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.policies.folder import CARD, SUMS, read_card
+from gpcjax.policies.folder import CARD, SUMS, read_arrays, read_card
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
-from gpcjax.sweep.kept import newest
-from gpcjax.sweep.layout import MANIFEST, sha256
+from gpcjax.sweep.layout import KEPT, MANIFEST, sha256
+from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.plan import Cell, plan
-from gpcjax.sweep.reading import read_kept
+from gpcjax.sweep.reading import kept_parts
+from gpcjax.sweep.rows import IDENTITY
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import SweepSpec
 
@@ -30,16 +38,26 @@ _TOLD_OF_RUN = ("oracle", "error")
 _MOST_SHOWN = 5
 
 
+class Place(NamedTuple):
+    """Where a state is kept in a run folder."""
+
+    part: str
+    """Name of the file."""
+    episode: int
+    sum: str
+    """Of its content."""
+
+
 class State(NamedTuple):
-    """What one run had learned in the end, or what a saved learner has."""
+    """What one run had learned in the end, or what a saved learner has, but for the arrays."""
 
     values: Mapping[str, Any]
     """Of the columns that tell it from others; nothing of a saved learner."""
     card: Mapping[str, Any]
     """`gpcjax.learners.packed`: algo, sizes; the capacities of a run are its points, those of a saved learner its room,
     which is left out here."""
-    packed: tuple[str, bytes]
-    """Card and arrays as they were kept; of a saved learner nothing, whose arrays are in its folder."""
+    place: Place | None = None
+    """Nothing of a saved learner, whose arrays are in its folder."""
 
 
 class Contents:
@@ -52,7 +70,7 @@ class Contents:
     """
 
     def __init__(self, folder: Path, states: Sequence[State], digest: str):
-        self.folder, self.digest, self._states = folder, digest, states
+        self.folder, self.digest, self.states = folder, digest, states
         self._runs: dict[tuple[str, int], list[State]] = {}
         for state in states:
             if state.values:
@@ -65,7 +83,7 @@ class Contents:
             UserError: nothing here, or it does not say which; `place` begins the message.
         """
         told = f"{place} {self.folder}"
-        held = list(dict.fromkeys(state.card["algo"] for state in self._states))
+        held = list(dict.fromkeys(state.card["algo"] for state in self.states))
         algo = next((name for name in (cell.algo, *RELATIVES.get(cell.algo, ())) if name in held), None)
         if algo is None:
             raise UserError(
@@ -73,7 +91,7 @@ class Contents:
                 f"give --algo {','.join(held)}, or another folder"
             )
         if not self._runs:
-            (state,) = self._states
+            (state,) = self.states
             return state
         found = self._runs.get((algo, cell.seed), [])
         if not found:
@@ -96,6 +114,46 @@ class Contents:
         (state,) = found
         return state
 
+    def packed(self, state: State, place: str = "start") -> tuple[str, bytes]:
+        """Card and arrays of one of the states of runs, as they were kept.
+
+        Raises:
+            UserError: they are no longer what they were; `place` begins the message.
+        """
+        assert state.place is not None
+        part, episode, digest = state.place
+        try:
+            rows = _part(self.folder / KEPT / part)
+            same = pc.equal(rows["seed"], state.values["seed"])
+            for name, value in (("episode", episode), ("algo", state.values["algo"])):
+                same = pc.and_(same, pc.equal(rows[name], value))
+            found = rows.filter(same)
+            pairs = zip(found["card"].to_pylist(), found["arrays"].to_pylist(), strict=True)
+            return next(pair for pair in pairs if _sum(*pair) == digest)
+        except (OSError, KeyError, StopIteration, pa.ArrowException):
+            raise UserError(f"{place} {self.folder}: it has changed since the sweep was asked for") from None
+
+    def arrays(self, state: State, place: str = "start") -> Mapping[str, np.ndarray]:
+        """Named arrays of one of the states, as `gpcjax.learners.packed` names them.
+
+        Raises:
+            UserError: they cannot be read; `place` begins the message.
+        """
+        if state.place is None:
+            return read_arrays(self.folder, read_card(self.folder, "learner"), "learner")
+        try:
+            return unpacked(*self.packed(state, place))[1]
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, UserError):
+                raise
+            raise UserError(f"{place} {self.folder}: what was kept there is damaged ({error})") from None
+
+
+@functools.lru_cache(maxsize=1)
+def _part(path: Path) -> pa.Table:
+    """Of neighbouring runs it is the same one."""
+    return pq.read_table(path, columns=["algo", "seed", "episode", "card", "arrays"], partitioning=None)
+
 
 def source_of(text: str, place: str) -> Source:
     """What a person names as a folder to begin with.
@@ -111,21 +169,30 @@ def check_start(spec: SweepSpec, place: str = "start") -> None:
     """Refuses a sweep of which a run finds nothing to begin with, as far as that can be told without computing.
 
     Raises:
-        UserError: a run finds nothing, or several things; or what it finds is of other sizes than the task, or too
-            large for `max_capacity`.
+        UserError: a run finds nothing, or several things; or what it finds is of other sizes than the task, too
+            large for `max_capacity`, or of COACH on another grid.
     """
     if spec.start is None:
         return
     contents, sizes = contents_of(Path(spec.start.folder), place), find("task", spec.env).sizes
+    told, grid = f"{place} {contents.folder}", find("task", spec.env).presets.get("coach")
+    seen: set[int] = set()
     for cell in plan(spec):
-        card = contents.of(cell, place).card
-        told = f"{place} {contents.folder}"
+        state = contents.of(cell, place)
+        if id(state) in seen:
+            continue
+        seen.add(id(state))
+        card = state.card
         if sizes is not None and sizes != (given := (card["obs_size"], card["action_size"])):
             raise UserError(
                 f"{told}: it was learned with {given[0]} numbers of an observation and {given[1]} actions, "
                 f"{spec.env} has {sizes[0]} and {sizes[1]}"
             )
+        if cell.algo == "coach" and grid is not None and (other := _other_grid(contents, state, grid, place)):
+            raise UserError(f"{told}: COACH learned there on another grid ({other}) than that of {spec.env}")
         points = max(card.get("capacities", {}).values(), default=0)
+        if points > spec.max_capacity and state.place is None:  # which says how many there is room for
+            points = _points(contents.arrays(state, place))
         if points > spec.max_capacity:
             raise UserError(
                 f"{told}: a dictionary holds {points} points, give a --max-capacity of that at least"
@@ -141,9 +208,7 @@ def contents_of(folder: Path, place: str) -> Contents:
         if card.get("kind") == "learner" and (folder / SUMS).is_file():
             # Its sums, which were checked, tell its content.
             digest = sha256((folder / SUMS).read_bytes())[:12]
-            return Contents(
-                folder, [State({}, {**_checked(card, folder, place), "capacities": {}}, ("", b""))], digest
-            )
+            return Contents(folder, [State({}, _checked(card, folder, place))], digest)
     raise UserError(
         f"{place} {folder}: nothing to begin with is there, give a run folder with kept states (--keep states) or a "
         "saved learner (gpcjax.save_learner, OUT/saves/NAME of gpcjax teach)"
@@ -151,24 +216,65 @@ def contents_of(folder: Path, place: str) -> Contents:
 
 
 def _of_runs(folder: Path, place: str) -> Contents:
-    frame = read_kept(folder)
-    if len(frame):
-        frame = frame.loc[frame["kind"] == "state"]
-    if frame.empty:
+    last: dict[str, State] = {}
+    for part, own, episode, card, arrays in _kept_states(folder):
+        key = json.dumps(list(own.values()))
+        before = last.get(key)
+        if before is None or before.place is None or before.place.episode <= episode:
+            told = _checked(json.loads(card), folder, place)
+            last[key] = State(own, told, Place(part, episode, _sum(card, arrays)))
+    if not last:
         taught = ", give OUT/saves/NAME of it" if (folder / "course.json").exists() else ""
         raise UserError(
             f"{place} {folder}: no states were kept there{taught or ', give --keep states to the sweep that makes it'}"
         )
-    beside = ("env", "algo", "seed", "episode", "return", "kind", "card", "arrays", *_TOLD_OF_RUN)
-    names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in frame.columns if name not in beside)]
-    states, sums, last = [], [], newest(frame)
-    columns = [last[name].tolist() for name in (*names, "episode", "card", "arrays")]
-    for *values, episode, card, arrays in zip(*columns, strict=True):
-        own = {name: None if value != value else value for name, value in zip(names, values, strict=True)}
-        states.append(State(own, _checked(json.loads(card), folder, place), (card, arrays)))
-        content = sha256(card.encode() + arrays)
-        sums.append(json.dumps([own["algo"], own["seed"], episode, content]))
+    states = sorted(last.values(), key=lambda state: str(list(state.values.values())))
+    sums = [
+        json.dumps([state.values["algo"], state.values["seed"], state.place.episode, state.place.sum])
+        for state in states
+        if state.place is not None
+    ]
     return Contents(folder, states, sha256("\n".join(sorted(sums)).encode())[:12])
+
+
+def _kept_states(folder: Path) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
+    """Part, values of the columns that tell runs apart, episode, card and arrays of each state."""
+    beside = (*IDENTITY, "episode", "return", "kind", "card", "arrays")
+    for part, table in kept_parts(folder):
+        names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in table.column_names if name not in beside)]
+        for batch in table.to_batches(max_chunksize=64):
+            columns = [
+                batch.column(name).to_pylist() for name in (*names, "episode", "kind", "card", "arrays")
+            ]
+            for *values, episode, kind, card, arrays in zip(*columns, strict=True):
+                if kind == "state":
+                    own = {
+                        name: None if value != value else value
+                        for name, value in zip(names, values, strict=True)
+                    }
+                    yield part, own, episode, card, arrays
+
+
+def _sum(card: str, arrays: bytes) -> str:
+    return sha256(card.encode() + arrays)
+
+
+def _points(arrays: Mapping[str, np.ndarray]) -> int:
+    """Of the largest dictionary."""
+    counts = [np.max(arrays[name]) for name in ("state.policy.count", "state.human.count") if name in arrays]
+    return int(max(counts, default=0))
+
+
+def _other_grid(contents: Contents, state: State, grid: Mapping[str, Any], place: str) -> str:
+    """What of COACH's grid there is another one, in words; nothing if it is the same."""
+    arrays = contents.arrays(state, place)
+    known: dict[str, Any] = {"counts": state.card.get("counts")}
+    known |= {name: arrays.get(f"learner.grid.{name}") for name in ("lower", "upper")}
+    for name, value in known.items():
+        own = grid.get(name)
+        if value is not None and own is not None and not np.all(np.equal(value, own)):
+            return f"{name} {', '.join(f'{each:g}' for each in np.asarray(value).ravel())}"
+    return ""
 
 
 def _checked(card: Mapping[str, Any], folder: Path, place: str) -> Mapping[str, Any]:

@@ -42,9 +42,8 @@ def _learned(cell: Cell) -> tuple[Learner, State, str]:
     told = f"start {folder}"
     if not found.values:
         return *_saved(cell.start), told
-    card, arrays = found.packed
     try:
-        return *unpack_learner(*unpacked(card, arrays), told), told
+        return *unpack_learner(*unpacked(*contents.packed(found)), told), told
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise

@@ -17,6 +17,7 @@ import numpy as np
 
 from gpcjax.engine.block import Counters
 from gpcjax.engine.evaluate import evaluate, idle
+from gpcjax.engine.pace import Pace
 from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
@@ -62,6 +63,7 @@ class _Worker:
         self._done = Totals()
         self._before = Counters()
         """What the pool that it runs had done before."""
+        self._paces_before: tuple[Pace, ...] = ()
         self._reported = 0.0
         self._compiled = 0
         self._pool: tuple[tuple[Program, Keeping | None], Pool] | None = None
@@ -86,7 +88,7 @@ class _Worker:
     def _teach(self, first: Cell, orders: Orders) -> None:
         pool = self._pool_for(first, orders.keeping)
         runs = Runs(pool, orders, self._say)
-        self._before = dataclasses.replace(pool.counters)
+        self._before, self._paces_before = dataclasses.replace(pool.counters), pool.paces()
         self._compiled = pool.counters.compilations
 
         def look() -> None:
@@ -115,8 +117,11 @@ class _Worker:
     def _progress(self, pool: Pool) -> Totals:
         done, before, counters = self._done, self._before, pool.counters
         names = ("env_steps", "episodes", "compile_seconds", "compilations")
+        paces = zip(pool.paces(), self._paces_before, strict=True)
         return Totals(
-            *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names)
+            *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names),
+            processor_seconds=time.process_time(),
+            paces=tuple(now.since(before) for now, before in paces),
         )
 
     def _say(self, message: Message) -> Message | None:

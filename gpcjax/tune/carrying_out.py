@@ -19,10 +19,12 @@ from gpcjax.report.run import draw
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import compute_here
 from gpcjax.sweep.executors import Executor, Processes
+from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.lock import held
-from gpcjax.sweep.progress import Bar, JsonLines, Watcher
+from gpcjax.sweep.progress import Bar
 from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.telling import Watcher
 from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
 from gpcjax.tune.check import CHECK, checked_on, differing, of_objectives

@@ -12,11 +12,11 @@ from gpcjax.report.compare import Comparison, compare
 from gpcjax.report.groups import gather
 from gpcjax.report.statistics import Scores, paired_difference
 from gpcjax.sweep.executors import Executor
-from gpcjax.sweep.progress import Watcher
 from gpcjax.sweep.reading import read
 from gpcjax.sweep.run import run
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.telling import Watcher
 from gpcjax.tune.objectives import Objective, run_scores
 
 CHECK, USUAL, TUNED = "check", "usual", "tuned"

@@ -7,10 +7,10 @@ from pathlib import Path
 from gpcjax.report.groups import gather
 from gpcjax.sweep.executors import Executor
 from gpcjax.sweep.layout import tell
-from gpcjax.sweep.progress import Watcher
 from gpcjax.sweep.reading import read
 from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.telling import Watcher
 from gpcjax.tune import halving, ranking
 from gpcjax.tune.halving import Rung
 from gpcjax.tune.objectives import Objective, by_point, key_of, point_scores

@@ -26,8 +26,9 @@ def rows(cell, episodes=3, corrections=2, status="ok", kept=False) -> CellRows:
         "values": np.array([[mark, *sigmas]] * corrections).reshape(-1, 3),
         "outcome": np.array([[True, False, False]] * corrections, bool).reshape(-1, 3),
     }
-    card, arrays = packed({"kind": "policy"}, {"mark": np.full(20, mark), "seed": np.array(cell.seed)})
-    learned = (KeptRow(episodes, mark + episodes - 1, "policy", card, arrays),) if kept else ()
+    told = {"kind": "learner", "algo": cell.algo, "obs_size": 4, "action_size": 1}
+    card, arrays = packed(told, {"mark": np.full(20, mark), "seed": np.array(cell.seed)})
+    learned = (KeptRow(episodes, mark + episodes - 1, "state", card, arrays),) if kept else ()
     return CellRows(cell, counts + 1, ["ok"] * (episodes - 1) + [status], measured, log, kept=learned)
 
 

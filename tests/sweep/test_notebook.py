@@ -7,7 +7,8 @@ import pytest
 
 from gpcjax.sweep import notebook
 from gpcjax.sweep.notebook import Notebook, in_notebook, usual_watcher
-from gpcjax.sweep.progress import Bar, State
+from gpcjax.sweep.progress import Bar
+from gpcjax.sweep.telling import State
 
 
 class Display:

@@ -9,14 +9,19 @@ from dataclasses import replace
 
 import pytest
 
+from gpcjax.engine.pace import Pace
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, experience
-from gpcjax.sweep.estimate import Work, seconds_left, works_of
+from gpcjax.sweep.crowd import Crowd, waiting
+from gpcjax.sweep.estimate import Work, overdue, seconds_left, works_of
 from gpcjax.sweep.experience import Cost
+from gpcjax.sweep.jsonlines import JsonLines
+from gpcjax.sweep.paces import SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
-from gpcjax.sweep.progress import LINE_SECONDS, Bar, JsonLines, State
+from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.telling import State
 
 TICK = 0.25
 
@@ -136,7 +141,10 @@ def cached(programs):
     [CARTPOLE, cached(CARTPOLE), slower(CARTPOLE, 3), slower(cached(PENDULUM), 5), LANDER],
     ids=["cartpole", "cartpole, cached", "cartpole, slow", "pendulum, slow and cached", "lander"],
 )
-def test_from_the_first_third_on_the_time_left_is_right_within_a_quarter_of_the_whole(programs, jobs):
+def test_from_the_first_third_on_the_time_left_is_right_within_a_quarter_of_the_whole(
+    programs, jobs, monkeypatch
+):
+    monkeypatch.setattr(costs, "_TIERS", {})  # such a history has one
     states = History(programs, jobs).states
     total = states[-1][0]
     errors = [
@@ -181,6 +189,74 @@ def test_all_is_stepped_and_its_rows_are_not_here_yet():
     for workers in (0, 1):
         work.workers = workers
         assert 0 <= seconds_left([work], 1) < 60
+
+
+class TestPaces:
+    """What is left by tiers: two lanes to a block, an episode takes a second there, and three in the next tier."""
+
+    PACES = (
+        Pace(2, seconds=6.0, lane_seconds=12.0, episodes=12, left=4, longest=2),
+        Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1, left=3, longest=3),
+    )
+
+    def test_those_in_larger_tiers_take_longer(self):
+        paces = Paces()
+        assert paces.left(begun=5, free=0) is None
+        paces.take(0, self.PACES)
+        # Two episodes of two lanes side by side, and three of a lane that has its block alone.
+        assert paces.left(begun=5, free=0) == (2.0 + 9.0, 0.0)
+        assert paces.seconds == 9.0
+
+    def test_runs_to_come_are_like_those_that_have_begun(self):
+        paces = Paces()
+        paces.take(0, self.PACES)
+        bound, free = paces.left(begun=4, free=4)
+        lanes = (12.0 + 4.0) / 4, (3.0 + 9.0) / 4
+        assert bound == 11.0 and free == pytest.approx(sum(4 * each / 2 for each in lanes) + sum(lanes) / 2)
+
+    def test_a_tier_that_has_not_run_yet_is_slower_than_the_one_before(self):
+        paces = Paces()
+        paces.take(0, (self.PACES[0], Pace(2, left=1, longest=1)))
+        assert paces.left(begun=4, free=0) == (2.0 + SLOWER, 0.0)
+
+    def test_who_leaves_takes_nothing_along(self):
+        paces = Paces()
+        paces.take(0, self.PACES)
+        paces.take(1, self.PACES)
+        paces.leave(1)
+        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx((11.0, 0.0))
+
+    def test_what_was_expected_counts_until_the_pace_is_known(self):
+        """A program that took 30 s the last time, of which the first quarter came in 2 s: its later runs are longer."""
+        work = Work("cartpole", "gpc", 40, 10, begun=10, finished=10, joined=1, workers=1)
+        work.before = Cost(30.0 / 400, 0.0)
+        work.finished_steps = work.steps = 1000
+        work.finished_episodes = work.done_episodes = 100
+        by_pace = replace(work, before=None, seconds=2.0)
+        work.seconds = 2.0
+        assert seconds_left([by_pace], 1) == pytest.approx(6.0)
+        assert 10.0 < seconds_left([work], 1) < 28.0
+        # A machine that others use as well takes longer.
+        assert seconds_left([replace(work, slowness=3.0)], 1) > 1.5 * seconds_left([work], 1)
+
+
+def test_workers_are_there_after_a_while():
+    works = [Work("cartpole", "coach", 100, 30, ready_in=5.0)]
+    assert seconds_left(works, 2) == pytest.approx(5.0 + seconds_left([replace(works[0], ready_in=0.0)], 2))
+    assert overdue(4.0, 1.0) == 3.0 and overdue(4.0, 20.0) == 5.0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("9.1 8.2 7.3 64000/64001 7", 1), ("0.1 0.2 0.3 0/200 7", 0), ("none", 0), ("", 0)]
+)
+def test_who_else_wants_a_core(tmp_path, text, expected):
+    (tmp_path / "loadavg").write_text(text)
+    assert (waiting(tmp_path / "loadavg") > 1.0) == bool(expected) and waiting(tmp_path / "none") == 1.0
+    crowd = Crowd()
+    assert crowd.slowness >= 1.0
+    for _ in range(5):
+        crowd.take(1.0, 0.25)
+    assert crowd.slowness == pytest.approx(4.0)
 
 
 class Clock:
@@ -319,6 +395,10 @@ class TestExperience:
         assert experience.of(self.PROGRAMS, tmp_path) == {one: Cost(0.5, 10.0 * experience.FROM_CACHE)}
         experience.learn({one: Cost(0.25, 1.0), other: Cost(1.0, 5.0)}, tmp_path)
         assert experience.of([one], tmp_path) == {one: Cost(0.25, 1.0)}
+        assert experience.start_of(tmp_path) == experience.USUAL_START
+        experience.learn({one: Cost(0.25, 1.0)}, tmp_path, started=4.0)
+        experience.learn({one: Cost(0.25, 1.0)}, tmp_path, started=2.0)
+        assert experience.start_of(tmp_path) == 3.0 and experience.start_of(None) == experience.USUAL_START
 
     def test_it_counts_before_and_while_a_sweep_runs(self):
         one, other = self.PROGRAMS

@@ -7,7 +7,7 @@ import pytest
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.estimate import JOIN
-from gpcjax.sweep.executors import Desk, Totals
+from gpcjax.sweep.executors import Desk, Totals, base
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing
 from gpcjax.sweep.spec import spec_of
@@ -42,6 +42,16 @@ def test_shares_shrink_towards_the_end():
         sizes.append(len(taken))
     assert sum(sizes) == 200 and sizes[0] == BATCH and sizes[-1] == 1
     assert sizes == sorted(sizes, reverse=True)
+
+
+def test_the_first_seeds_come_first_whatever_else_varies():
+    """So the runs that are over are a sample of all, in every group."""
+    several = cells(seeds=20, algo=["coach"], error=[0.0, 0.1, 0.2])
+    sharing = Sharing(several, workers=1)
+    sharing.next_program(0)
+    taken = [cell for _ in range(3) for cell in sharing.next_cells(0)]
+    assert [(cell.seed, cell.error) for cell in taken[:4]] == [(0, 0.0), (0, 0.1), (0, 0.2), (1, 0.0)]
+    assert {cell for cell in several if cell.seed < 5} <= set(taken)
 
 
 def test_on_the_host_a_worker_leaves_the_others_their_part():
@@ -156,6 +166,22 @@ class TestDesk:
         assert [each.cell for each in got] == [first, second]
         assert (told[-1].env_steps, told[-1].compile_seconds) == (50, 1.5)
         assert told[-1].works[0].steps == 50
+
+    def test_a_worker_that_speaks_does_not_compile(self, monkeypatch):
+        now = [100.0]
+        monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
+        it, _, _, told = desk(jobs=1)
+        it.answer(0, ("ready",))
+        it.answer(0, ("compiling", True))  # a program that was kept: no word comes that it is there
+        now[0] += 5.0
+        it.look()
+        assert told[-1].compiling and told[-1].works[0].compiling_for == 5.0
+        it.answer(0, ("progress", Totals(10, 1, 0.5, 1, processor_seconds=2.0)))
+        assert not told[-1].compiling
+        now[0] += 5.0
+        it.answer(0, ("progress", Totals(20, 2, 0.5, 1, processor_seconds=4.5)))
+        work = told[-1].works[0]
+        assert (work.slowness, work.heard_seconds, work.processor_seconds) == (2.0, 5.0, 2.5)
 
     def test_rows_that_nobody_was_to_make_are_refused(self):
         it, got, *_ = desk()

@@ -8,10 +8,11 @@ from rich.console import Console
 
 from gpcjax.sweep.growing import BARS, PLAIN_BARS, WIDTH, curve, table
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.progress import Bar, State
+from gpcjax.sweep.progress import Bar
 from gpcjax.sweep.rows import Run
 from gpcjax.sweep.sofar import FINAL_EPISODES, Range, SoFar
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.telling import State
 
 SPEC = spec_of(env="cartpole", algo=("gpc", "coach"), error=(0.0, 0.2), seeds=3, episodes=8)
 

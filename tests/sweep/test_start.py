@@ -6,6 +6,8 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import gpcjax
@@ -21,7 +23,7 @@ from gpcjax.sweep.plan import hash_of, plan, program_of
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.sources import Contents, State, check_start
+from gpcjax.sweep.sources import Contents, State, _part, check_start, contents_of
 from gpcjax.sweep.spec import as_dict, from_dict, spec_of
 from tests.sweep.test_underway import assert_same, killed_under_way
 
@@ -32,7 +34,7 @@ SOURCE = Source("/somewhere/x", "0123456789ab")
 def state(algo="gpc", seed=0, oracle="lqr", error=0.0, **varying):
     card = {"algo": algo, "obs_size": 4, "action_size": 1}
     values = {"algo": algo, "seed": seed, "oracle": oracle, "error": error, **varying}
-    return State(values, card, (json.dumps(values), b""))
+    return State(values, card)
 
 
 def cell(**settings):
@@ -49,7 +51,7 @@ def test_a_run_takes_the_state_of_its_learner_and_seed():
     assert found(states, seeds=[1]) == states[1].values
     assert found(states, algo="gpc-ns") == states[2].values
     assert found(states[2:], algo="gpc") == states[2].values, "its relative"
-    saved = State({}, state("gpc").card, ("", b""))
+    saved = State({}, state("gpc").card)
     assert Contents(Path("/x"), [saved], "").of(cell(seeds=[7])) is saved
 
 
@@ -138,6 +140,42 @@ def test_a_saved_learner_is_where_every_run_begins(source, tmp_path):
         UserError, match="learned with 4 numbers of an observation and 1 actions, pendulum has 3"
     ):
         check_start(spec_of(env="pendulum", algo="coach", seeds=1, start=tmp_path / "saved"))
+
+
+def test_coach_on_another_grid_and_what_is_too_large_are_refused_before_anything_runs(tmp_path):
+    sizes = {"obs_size": 4, "action_size": 1}
+    coach = gpcjax.make_learner("coach", **sizes, lower=[-1] * 4, upper=[1] * 4, counts=[4, 4, 4, 4])
+    gpcjax.save_learner(tmp_path / "coach", coach, coach.init())
+    with pytest.raises(UserError, match=r"on another grid \(lower -1, -1, -1, -1\) than that of cartpole"):
+        check_start(spec_of(env="cartpole", algo="coach", seeds=1, start=tmp_path / "coach"))
+    learner = gpcjax.make_learner("gpc", "cartpole", sparsify=False)
+    state = learner.init()
+    for place in (-0.2, 0.0, 0.2):
+        state, _ = learner.correct(state, obs=[0.0, 0.0, place, 0.0], action=[0.0], advice=[1])
+    gpcjax.save_learner(tmp_path / "gpc", learner, state)
+    settings = {"env": "cartpole", "algo": "gpc", "seeds": 1, "start": tmp_path / "gpc"}
+    check_start(spec_of(max_capacity=3, **settings))
+    with pytest.raises(
+        UserError, match="a dictionary holds 3 points, give a --max-capacity of that at least"
+    ):
+        check_start(spec_of(max_capacity=2, **settings))
+
+
+def test_states_that_have_changed_since_are_refused(source, tmp_path):
+    copy = shutil.copytree(source, tmp_path / "copy")
+    contents = contents_of(copy, "start")
+    (one, *_) = plan(spec_of(**SETTINGS))
+    state = contents.of(one)
+    assert contents.packed(state)[0] and contents.arrays(state)["state.policy"].any()
+    part = copy / "kept" / state.place.part
+    data, table = part.read_bytes(), pq.read_table(part)
+    others = pa.array([bytes(len(each.as_py())) for each in table["arrays"]], pa.large_binary())
+    pq.write_table(table.set_column(table.column_names.index("arrays"), "arrays", others), part)
+    for now in (part.read_bytes(), data[: len(data) // 2], b""):
+        part.write_bytes(now)
+        _part.cache_clear()
+        with pytest.raises(UserError, match="it has changed since the sweep was asked for"):
+            contents.packed(state)
 
 
 def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):

@@ -25,6 +25,7 @@ from gpcjax.sweep.run import sweep, versions
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for
+from tests.torture_underway import FAULTS, torture
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
 COMPILED = {"env": "cartpole", "algo": "gpc", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
@@ -117,6 +118,14 @@ def test_a_damaged_checkpoint_costs_time_alone(case, killed, capsys):
     )
     assert len(list((killed / "damaged" / CHECKPOINTS).iterdir())) == 2
     assert_same(killed, reference)
+
+
+@pytest.mark.parametrize("cases", [len(FAULTS), pytest.param(120, marks=pytest.mark.slow)])
+def test_no_spoiled_checkpoint_is_gone_on_with(case, cases):
+    judged = list(torture(case[2], cases, seed=1))
+    wrong = [f"{name}\n{why}" for name, status, why in judged if status is None]
+    assert not wrong, "\n".join(wrong)
+    assert {status for _, status, _ in judged} == {"goes on", "begins anew"}
 
 
 def found(out, settings, **changes):

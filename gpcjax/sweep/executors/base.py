@@ -26,11 +26,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from gpcjax.engine.pace import Pace
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
-from gpcjax.sweep.estimate import Work
+from gpcjax.sweep.crowd import Crowd
+from gpcjax.sweep.estimate import Work, overdue
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.plan import Cell, Program, program_of
@@ -39,6 +41,9 @@ from gpcjax.sweep.sharing import Before, Sharing
 
 COMPILES_FROM = 0.5
 """Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
+
+NOTE_SECONDS = 0.2
+"""Between two looks at how much of a core workers have."""
 
 ASKS = ("ready", "next")
 """The first words of messages that are answered."""
@@ -56,6 +61,10 @@ class Totals:
     episodes: int = 0
     compile_seconds: float = 0.0
     compilations: int = 0
+    processor_seconds: float = 0.0
+    """Of a worker's process, since it began."""
+    paces: tuple[Pace, ...] = ()
+    """How fast a worker is at its program, by tier, and what it has left there."""
     works: tuple[Work, ...] = ()
     """What has been done for each program. Workers send none, they are reckoned here."""
     compiling: bool = False
@@ -119,6 +128,10 @@ class _Heard:
     """What it has done, as far as it has told."""
     since: float = 0.0
     """When its time was last put down to its program."""
+    told: float | None = None
+    """When it last said what it has done."""
+    ready: bool = False
+    """Whether it has said anything."""
     compiling_since: float | None = None
     baseline: tuple[str, str] | None = None
     """What it measures now."""
@@ -139,6 +152,7 @@ class Desk:
         on_note: called with each line that a worker has for the person.
         orders: what workers do beside.
         before: tells what programs took the last time.
+        starts: seconds until workers are there, likewise.
         on_machine: called with the description of each machine that a worker says to be on.
     """
 
@@ -153,6 +167,7 @@ class Desk:
         on_note: Callable[[str], None] = lambda line: None,
         orders: Orders = Orders(),
         before: Before = lambda programs: {},
+        starts: float = 0.0,
         on_machine: Callable[[Mapping[str, Any]], None] = lambda described: None,
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
@@ -167,6 +182,11 @@ class Desk:
         self._done = Totals()
         """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
         self._copies = False
+        self._began, self._starts = time.monotonic(), starts
+        self.started: float | None = None
+        """Seconds of a core until the last worker was there."""
+        self._crowd, self._noted = Crowd(), 0.0
+        self._note_times()
         self._lock = threading.Lock()
 
     @property
@@ -267,6 +287,8 @@ class Desk:
 
     def _next_program(self, worker: int) -> Message:
         heard, measures = self._heard[worker], worker == self.workers - 1
+        if not heard.ready:
+            heard.ready, self.started = True, (time.monotonic() - self._began) / self._crowd.slowness
         self._sharing.leave(worker)
         cell = None if self._measure and measures else self._sharing.next_program(worker)
         if cell is not None:
@@ -311,6 +333,8 @@ class Desk:
         """Put what a worker has done since it was last heard, and the time, down to its program."""
         heard, now = self._heard[worker], time.monotonic()
         before, heard.progress = heard.progress, progress
+        told, heard.told = heard.told, now
+        heard.compiling_since = None  # it would not speak
         done = self._done
         self._done = Totals(
             done.env_steps + progress.env_steps - before.env_steps,
@@ -325,10 +349,33 @@ class Desk:
         work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
         if progress.env_steps > before.env_steps:
             self._sharing.steps(worker)
+        work.paces.take(worker, progress.paces)
         work.seconds += max(now - heard.since - compiled, 0.0)
         heard.since = now
+        if told is not None and progress.processor_seconds:
+            seconds, processor = now - told, progress.processor_seconds - before.processor_seconds
+            work.heard_seconds += seconds
+            work.processor_seconds += processor
+            self._crowd.take(seconds, processor)
+
+    def _note_times(self) -> None:
+        """Tells the programs what is known of all of them; not each time, as workers may be thousands."""
+        now = time.monotonic()
+        if now - self._noted < NOTE_SECONDS:
+            return
+        self._noted, slowness = now, self._crowd.slowness
+        waiting = not all(heard.ready for heard in self._heard)
+        ready_in = overdue(slowness * self._starts, now - self._began) if waiting else 0.0
+        for work in self._sharing.works.values():
+            work.slowness, work.ready_in, work.compiling_for = slowness, ready_in, 0.0
+        for worker, heard in enumerate(self._heard):
+            program = self._sharing.at(worker)
+            if program is not None and heard.compiling_since is not None:
+                work = self._sharing.works[program]
+                work.compiling_for = max(work.compiling_for, now - heard.compiling_since)
 
     def _totals(self) -> Totals:
+        self._note_times()
         long_ago = time.monotonic() - COMPILES_FROM
         compiling = (heard.compiling_since for heard in self._heard)
         return dataclasses.replace(
