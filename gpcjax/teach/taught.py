@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
@@ -19,7 +21,7 @@ from gpcjax.policies.base import Policy
 from gpcjax.recording import Recording
 from gpcjax.registry import find
 from gpcjax.teach.beginning import beginning, put
-from gpcjax.teach.course import POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.course import COURSE, POLICY, RECORD, SAVES, START, Course
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.rows import write_rows
@@ -64,6 +66,10 @@ class Taught:
     def __init__(self, folder: Path, course: Course, session: Session, world: World | Place, tally: Tally):
         self.folder, self.course, self.session, self.tally = folder, course, session, tally
         self.world = world
+        self._moved: Moved | None = None
+        """What the task has come to, as long as that could not be written down."""
+        self._noted, self._closed = False, False
+        """How far the end of an episode is written down, as long as that is not done."""
 
     @classmethod
     def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
@@ -72,15 +78,21 @@ class Taught:
         Raises:
             UserError: it cannot be written, or `origin` is of another task, or means nothing to this learner.
         """
-        start = None
-        if origin is not None:
-            start = folder / START
-            put(origin, start, course)
-        course.write(folder)
-        learner, state = beginning(course, start)
-        session = Session(learner, state, **settings_of(course), record=folder / RECORD)
-        taught = cls(folder, course, session, _world(course, pictures=True), Tally())
-        taught.begin_episode()
+        try:
+            start = None
+            if origin is not None:
+                start = folder / START
+                put(origin, start, course)
+            course.write(folder)
+            learner, state = beginning(course, start)
+            session = Session(learner, state, **settings_of(course), record=folder / RECORD)
+            taught = cls(folder, course, session, _world(course, pictures=True), Tally())
+            taught.begin_episode()
+        except BaseException:  # what never began is no lesson to go on with
+            shutil.rmtree(folder / START, ignore_errors=True)
+            for name in (COURSE, RECORD):
+                (folder / name).unlink(missing_ok=True)
+            raise
         return taught
 
     @classmethod
@@ -154,15 +166,34 @@ class Taught:
     def step(self) -> Episode | None:
         """Executes what is proposed, and proposes at what comes of it; gives the episode if that has ended.
 
+        A step that was executed and could not be written down is written down by the next call, and none is executed.
+
         Raises:
             UserError: the task gives something else than it declares, or the recording cannot be written.
         """
-        moved = self.world.step(self.session.action)
-        self.moved(moved)
-        if not moved.over:
-            self._propose(moved.obs)
-            return None
-        return self.end("over")
+        if not self.behind:
+            moved = self.world.step(self.session.action)
+            self.moved(moved)
+            self._moved = moved
+        return self.catch_up()
+
+    @property
+    def behind(self) -> bool:
+        """Whether something has happened that could not be written down yet."""
+        return self._moved is not None or self._noted or self._closed
+
+    def catch_up(self) -> Episode | None:
+        """Writes down what could not be before; gives the episode if that has ended then.
+
+        Raises:
+            UserError: it cannot be written yet.
+        """
+        if self._noted or self._closed or (self._moved is not None and self._moved.over):
+            return self.end("over")
+        if self._moved is not None:
+            self._propose(self._moved.obs)
+            self._moved = None
+        return None
 
     def moved(self, moved: Moved) -> None:
         """Counts a step of the task: the first part of `step`."""
@@ -174,10 +205,17 @@ class Taught:
         self.tally.hear(self.session, {"event": "propose"}, None)
 
     def end(self, why: str) -> Episode:
-        """Ends the episode and begins the next one."""
-        present = self.close(why)
+        """Ends the episode and begins the next one.
+
+        Raises:
+            UserError: it cannot be written down; the next call goes on where this one came to.
+        """
+        if not self._closed:
+            self.close(why)
+            self._closed, self._moved = True, None
         self.begin_episode()
-        return present
+        self._closed = False
+        return self.tally.finished[-1]
 
     def begin_episode(self) -> None:
         """Proposes at the first step of the present episode."""
@@ -187,9 +225,12 @@ class Taught:
         """Ends the episode, and begins none."""
         present = self.present
         values = {"ended": why, "total": present.total, "length": present.length}
-        self.session.note(**values)
-        self.tally.hear(self.session, {"event": "note", "values": values}, None)
+        if not self._noted:
+            self.session.note(**values)
+            self._noted = True
         self.session.end_episode()
+        self._noted = False
+        self.tally.hear(self.session, {"event": "note", "values": values}, None)
         return present
 
     def advise(self, press: Press, credited: int) -> Advised:
@@ -241,9 +282,8 @@ class Taught:
         measured = tally.measurements(), tally.own(), tally.log()
 
         def kept(session: Session) -> Kept:
-            return Kept(
-                self.folder, self.course, session.learner, session.state, session.corrections, measured
-            )
+            state = jax.tree.map(_plain, session.state)
+            return Kept(self.folder, self.course, session.learner, state, session.corrections, measured)
 
         return kept
 
@@ -284,6 +324,7 @@ class Kept(NamedTuple):
     course: Course
     learner: Learner
     state: State
+    """Its arrays are numpy's: to hand these to another process costs no copy."""
     corrections: int
     measured: tuple[dict[str, np.ndarray], ...]
 
@@ -294,9 +335,8 @@ class Kept(NamedTuple):
             UserError, OSError: they cannot be written.
         """
         provenance = {"env": self.course.env, "corrections": self.corrections}
-        _replaced(
-            self.folder / POLICY, lambda path: save_policy(path, self.learner, self.state, **provenance)
-        )
+        state = jax.tree.map(jnp.asarray, self.state)
+        _replaced(self.folder / POLICY, lambda path: save_policy(path, self.learner, state, **provenance))
         write_rows(self.folder, self.course, *self.measured)
 
 
@@ -346,6 +386,10 @@ def settings_of(course: Course) -> dict[str, Any]:
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
     return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
+
+
+def _plain(leaf: Any) -> Any:
+    return leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf)
 
 
 def _world(course: Course, pictures: bool) -> World:
