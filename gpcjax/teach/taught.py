@@ -16,10 +16,14 @@ from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.recipes import check_recipe
 from gpcjax.learners.saved import save_policy
 from gpcjax.policies.base import Policy
+from gpcjax.policies.folder import write_folder
+from gpcjax.policies.saved import has_format
 from gpcjax.recording import Recording
-from gpcjax.registry import find
+from gpcjax.registry import built_in, find
+from gpcjax.sweep.build import pack_learned, recipe_of
 from gpcjax.teach.beginning import beginning, put
 from gpcjax.teach.course import COURSE, POLICY, RECORD, SAVES, START, Course
 from gpcjax.teach.origin import Origin
@@ -260,13 +264,20 @@ class Taught:
         return self.world.picture()
 
     def save(self, name: str) -> None:
-        """Keeps the session under a name, in place of what was kept there before.
+        """Keeps the learner under a name, in place of what was kept there before.
 
         Raises:
-            UserError: it cannot be written.
+            UserError: it cannot be written, or what a learner of one's own learns has no form in which it could be.
         """
-        session = self.session
-        _replaced(self.folder / SAVES / name, session.save)
+        session, place = self.session, self.folder / SAVES / name
+        if self.course.algo in built_in("learner"):
+            _replaced(place, session.save)
+            return
+        cell = self.course.cell(1)
+        check_recipe(recipe_of(cell), f"save {name}")
+        card, arrays = pack_learned(cell, session.learner, session.state)
+        card["provenance"] = {"env": self.course.env}
+        _replaced(place, lambda path: write_folder(path, card, arrays))
 
     def keep(self) -> Callable[[], None]:
         """What writes the rows as they are now and the policy, whenever it is called, in whatever thread.
@@ -329,14 +340,15 @@ class Kept(NamedTuple):
     measured: tuple[dict[str, np.ndarray], ...]
 
     def write(self) -> None:
-        """Writes them, in place of those before.
+        """Writes them, in place of those before; of a learner of one's own whose policy has no format, rows alone.
 
         Raises:
             UserError, OSError: they cannot be written.
         """
         provenance = {"env": self.course.env, "corrections": self.corrections}
         state = jax.tree.map(jnp.asarray, self.state)
-        _replaced(self.folder / POLICY, lambda path: save_policy(path, self.learner, state, **provenance))
+        if has_format(self.learner.policy_of(state).controller):
+            _replaced(self.folder / POLICY, lambda path: save_policy(path, self.learner, state, **provenance))
         write_rows(self.folder, self.course, *self.measured)
 
 

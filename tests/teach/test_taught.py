@@ -148,6 +148,22 @@ def test_saved_and_opened(lesson, tmp_path):
     assert_same(again, opened)
 
 
+def test_a_learner_of_ones_own_is_taught_kept_and_opened(tmp_path):
+    """Its policy has no format that another program reads: there are rows, and what was saved goes on."""
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    taught = Taught.begin(tmp_path / "one", course(algo=("tests.teach.drifting:Linear",)))
+    teach(taught, 20)
+    taught.keep()()
+    assert len(gpcjax.load(taught.folder)) == taught.episode > 0 and not (taught.folder / POLICY).exists()
+    taught.save("good")
+    opened = Taught.begin(tmp_path / "two", taught.course, taught.folder / SAVES / "good")
+    np.testing.assert_array_equal(opened.session.state, taught.session.state)
+    teach(opened, 3)
+    for each in (taught, opened):
+        assert_same(Taught.resume(each.folder, nothing, whole=True), each)
+
+
 def test_the_policy_alone_learns_and_records_nothing(lesson):
     size = (lesson.folder / RECORD).stat().st_size
     alone = Evaluation(lesson.session.policy(), lesson.course, 0)
