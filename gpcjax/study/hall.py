@@ -33,7 +33,8 @@ from gpcjax.sweep.lock import held
 from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
-from gpcjax.teach.taught import Kept, Taught, settings_of
+from gpcjax.teach.kept import Kept
+from gpcjax.teach.taught import Taught, settings_of
 from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]

@@ -38,7 +38,7 @@ class Clerk:
         self._process = self._begun()
 
     def write(self, kept: Any) -> None:
-        """Has `gpcjax.teach.taught.Kept.write` done there, and waits for it; what cannot go there is written here.
+        """Has `gpcjax.teach.kept.Kept.write` done there, and waits for it; what cannot go there is written here.
 
         Raises:
             Exception: what that raised.
@@ -100,7 +100,7 @@ def main() -> None:
     os.nice(SLOWER)
     asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    import gpcjax.teach.taught  # noqa: F401  (before the first thing comes: it takes a second or two)
+    import gpcjax.teach.kept  # noqa: F401  (before the first thing comes: it takes a second or two)
 
     with contextlib.suppress(BrokenPipeError, EOFError):
         while True:

@@ -1,7 +1,8 @@
 """The real-time loop of a lesson: a clock, and what the page asks for. Runs in a thread of its own.
 
 Everything that changes what is taught happens in this thread, one thing after the other; what can wait is an errand.
-jax is loaded here, so that the page is there before it.
+jax is loaded here, so that the page is there before it. Of more than 300 lines, as each command of the page is obeyed
+here, between steps.
 """
 
 import contextlib
@@ -26,8 +27,9 @@ from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Command, Press
 
 if TYPE_CHECKING:
+    from gpcjax.teach.evaluation import Evaluation
     from gpcjax.teach.tally import Episode
-    from gpcjax.teach.taught import Evaluation, Taught
+    from gpcjax.teach.taught import Taught
     from gpcjax.teach.teller import Teller
 
 Say = Callable[[dict[str, Any] | bytes], None]
@@ -310,7 +312,7 @@ class Lesson:
         if on == (self._evaluation is not None):
             return
         if on:
-            from gpcjax.teach.taught import Evaluation
+            from gpcjax.teach.evaluation import Evaluation
 
             policy = self._taught.session.policy()
             self._evaluation = Evaluation(policy, self._taught.course, self._taught.episode)

@@ -1,4 +1,7 @@
-"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit."""
+"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit.
+
+Of more than 300 lines, as what happens live and what is made again count alike: they are read beside each other.
+"""
 
 import shutil
 import time
@@ -7,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
@@ -15,20 +17,18 @@ from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
-from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.base import Info
 from gpcjax.learners.recipes import check_recipe
-from gpcjax.learners.saved import save_policy
-from gpcjax.policies.base import Policy
 from gpcjax.policies.folder import write_folder
-from gpcjax.policies.saved import has_format
 from gpcjax.recording import Recording
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.build import pack_learned, recipe_of
 from gpcjax.teach.beginning import beginning, put
-from gpcjax.teach.course import COURSE, POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.course import COURSE, RECORD, SAVES, START, Course
+from gpcjax.teach.evaluation import world_of
+from gpcjax.teach.kept import Kept, plain, replaced
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
-from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import Moved, World
 from gpcjax.teach.worlds import Place, Worlds
@@ -90,7 +90,7 @@ class Taught:
             course.write(folder)
             learner, state = beginning(course, start)
             session = Session(learner, state, **settings_of(course), record=folder / RECORD)
-            taught = cls(folder, course, session, _world(course, pictures=True), Tally())
+            taught = cls(folder, course, session, world_of(course, pictures=True), Tally())
             taught.begin_episode()
         except BaseException:  # what never began is no lesson to go on with
             shutil.rmtree(folder / START, ignore_errors=True)
@@ -121,7 +121,7 @@ class Taught:
         rooms = first["settings"].get(ROOMS)
         classroom = None
         if rooms is None:
-            world = _world(course, pictures=not whole)
+            world = world_of(course, pictures=not whole)
         elif places is None:
             world = Worlds(make_env(course.env), 1).enter(course.seed)
         else:
@@ -271,13 +271,13 @@ class Taught:
         """
         session, place = self.session, self.folder / SAVES / name
         if self.course.algo in built_in("learner"):
-            _replaced(place, session.save)
+            replaced(place, session.save)
             return
         cell = self.course.cell(1)
         check_recipe(recipe_of(cell), f"save {name}")
         card, arrays = pack_learned(cell, session.learner, session.state)
         card["provenance"] = {"env": self.course.env}
-        _replaced(place, lambda path: write_folder(path, card, arrays))
+        replaced(place, lambda path: write_folder(path, card, arrays))
 
     def keep(self) -> Callable[[], None]:
         """What writes the rows as they are now and the policy, whenever it is called, in whatever thread.
@@ -293,7 +293,7 @@ class Taught:
         measured = tally.measurements(), tally.own(), tally.log()
 
         def kept(session: Session) -> Kept:
-            state = jax.tree.map(_plain, session.state)
+            state = jax.tree.map(plain, session.state)
             return Kept(self.folder, self.course, session.learner, state, session.corrections, measured)
 
         return kept
@@ -328,57 +328,6 @@ class Taught:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
 
 
-class Kept(NamedTuple):
-    """Rows and policy as they are at some point."""
-
-    folder: Path
-    course: Course
-    learner: Learner
-    state: State
-    """Its arrays are numpy's: to hand these to another process costs no copy."""
-    corrections: int
-    measured: tuple[dict[str, np.ndarray], ...]
-
-    def write(self) -> None:
-        """Writes them, in place of those before; of a learner of one's own whose policy has no format, rows alone.
-
-        Raises:
-            UserError, OSError: they cannot be written.
-        """
-        provenance = {"env": self.course.env, "corrections": self.corrections}
-        state = jax.tree.map(jnp.asarray, self.state)
-        if has_format(self.learner.policy_of(state).controller):
-            _replaced(self.folder / POLICY, lambda path: save_policy(path, self.learner, state, **provenance))
-        write_rows(self.folder, self.course, *self.measured)
-
-
-class Evaluation:
-    """The policy as it is now, on a simulation of its own: nothing is learned, and nothing recorded."""
-
-    def __init__(self, policy: Policy, course: Course, episode: int):
-        self._policy, self._world = policy, _world(course, pictures=True)
-        self.index, self.total, self.length = episode, 0.0, 0
-        self.obs = self._world.begin(episode)
-        self.action = np.asarray(policy(self.obs))
-
-    def step(self) -> bool:
-        """One step; True if the episode has ended."""
-        moved = self._world.step(self.action)
-        self.obs, self.total, self.length = moved.obs, self.total + moved.reward, self.length + 1
-        self.action = np.asarray(self._policy(moved.obs))
-        return moved.over
-
-    def again(self) -> None:
-        """The next episode."""
-        self.index, self.total, self.length = self.index + 1, 0.0, 0
-        self.obs = self._world.begin(self.index)
-        self.action = np.asarray(self._policy(self.obs))
-
-    def picture(self) -> np.ndarray | None:
-        """As `Taught.picture`."""
-        return self._world.picture()
-
-
 class _Progress:
     """Says how far a recording is made again, every second."""
 
@@ -398,24 +347,3 @@ def settings_of(course: Course) -> dict[str, Any]:
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
     return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
-
-
-def _plain(leaf: Any) -> Any:
-    return leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf)
-
-
-def _world(course: Course, pictures: bool) -> World:
-    return World(make_env(course.env), course.seed, pictures)
-
-
-def _replaced(path: Path, write: Callable[[Path], Any]) -> None:
-    """Makes a folder anew by `write`: there is an old one or a new one at any time, but for a moment."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new, old = path.with_name(f".{path.name}.new"), path.with_name(f".{path.name}.old")
-    for left in (new, old):
-        shutil.rmtree(left, ignore_errors=True)
-    write(new)
-    if path.exists():
-        path.rename(old)
-    new.rename(path)
-    shutil.rmtree(old, ignore_errors=True)

@@ -12,9 +12,10 @@ from gpcjax.teach.chart import chart
 from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import SAVES
 from gpcjax.teach.errands import Errands
+from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.lesson import Options, Say, Standing
 from gpcjax.teach.protocol import NAME, Press
-from gpcjax.teach.taught import Advised, Evaluation, Taught
+from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import (
     advised_of,
     bounds,

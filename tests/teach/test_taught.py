@@ -14,8 +14,9 @@ from gpcjax.registry import find
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import Given, spec_of
 from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
+from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.protocol import Press
-from gpcjax.teach.taught import Evaluation, Taught
+from gpcjax.teach.taught import Taught
 from gpcjax.teach.world import Moved, World
 
 ENV = "tests.teach.drifting:Drift"
