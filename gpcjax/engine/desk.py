@@ -238,7 +238,7 @@ class Alone(Desk):
         has_room(block, self._corrections_at_once)
         block = advised(block, np.zeros((learner.action_size, 1)))
         told(block)
-        for look in (uncertain, points_of, measured):
+        for look in (uncertain, points_of, measured, state_of):
             look(block)
         acts(block.controller, np.zeros(learner.obs_size))
 

@@ -27,13 +27,14 @@ from gpcjax.engine.classroom import kind_of
 from gpcjax.engine.session import credit_of, propose_together
 from gpcjax.errors import UserError
 from gpcjax.gp.threads import one_thread
-from gpcjax.study.clerk import Clerk
 from gpcjax.study.kind import Kind
 from gpcjax.study.seat import Run, Say, Seat, Standing
 from gpcjax.sweep.lock import held
+from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import Course
 from gpcjax.teach.errands import Errands
-from gpcjax.teach.taught import Kept, Taught, settings_of
+from gpcjax.teach.kept import Kept
+from gpcjax.teach.taught import Taught, settings_of
 from gpcjax.teach.worlds import begin_together, step_together
 
 __all__ = ["Hall", "Run", "Say", "Seat", "Standing"]

@@ -124,7 +124,7 @@ class Course:
                 "algo": str(algo),
                 "settings": dict(settings),
                 "seed": int(seed),
-            } if seed >= 0:
+            } if type(seed) is int and seed >= 0:  # true is an int to Python
                 course = cls(env, algo, tuple(settings.items()), seed)
                 course.spec(1)  # refuses what does not fit
                 return course

@@ -1,10 +1,12 @@
 """The real-time loop of a lesson: a clock, and what the page asks for. Runs in a thread of its own.
 
 Everything that changes what is taught happens in this thread, one thing after the other; what can wait is an errand.
-jax is loaded here, so that the page is there before it.
+jax is loaded here, so that the page is there before it. Of more than 300 lines, as each command of the page is obeyed
+here, between steps.
 """
 
 import contextlib
+import gc
 import math
 import queue
 import threading
@@ -25,8 +27,9 @@ from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Command, Press
 
 if TYPE_CHECKING:
+    from gpcjax.teach.evaluation import Evaluation
     from gpcjax.teach.tally import Episode
-    from gpcjax.teach.taught import Evaluation, Taught
+    from gpcjax.teach.taught import Taught
     from gpcjax.teach.teller import Teller
 
 Say = Callable[[dict[str, Any] | bytes], None]
@@ -144,6 +147,8 @@ class Lesson:
         self._seconds = seconds_of(self._teller.task)
         self._tell_preparing("measuring the expert, and doing nothing")
         self._teller.begin()
+        gc.collect()
+        gc.freeze()  # what was loaded stays: to look through it takes longer than many steps
         self.ready.set()
 
     def _opened(self) -> "Taught":
@@ -163,6 +168,7 @@ class Lesson:
             self._teller.close()
         self._teller = None
         self._locked.close()
+        gc.unfreeze()
 
     def _turn(self) -> None:
         """Obeys one command, or makes one step, whichever comes first."""
@@ -263,7 +269,17 @@ class Lesson:
         if press.shown and press.shown < self._first_of_episode:
             return  # it was about an episode that is over
         with self._resting_on_problems():
+            self._catch_up()
             self._tell.advised(press, self._taught.advise(press, self._credited()))
+
+    def _catch_up(self) -> bool:
+        """Writes down and shows what could not be written before; whether an episode ended with it."""
+        if not self._taught.behind:
+            return False
+        ended = self._taught.catch_up()
+        self._told(ended, "over")
+        self._tell.frame(None)
+        return ended is not None
 
     def _credited(self) -> int:
         """How many steps back the step is that an advice is shown to be about."""
@@ -274,6 +290,7 @@ class Lesson:
         if self._standing.mode != "teach":
             return
         with self._resting_on_problems():
+            self._catch_up()
             if self._taught.undo():
                 self._tell.undone()
                 self._tell.frame(None)
@@ -286,6 +303,8 @@ class Lesson:
             self._tell.frame(alone)
             return
         with self._resting_on_problems():
+            if self._catch_up():
+                return
             self._told(self._taught.end("reset"), "reset")
             self._tell.frame(None)
 
@@ -293,7 +312,7 @@ class Lesson:
         if on == (self._evaluation is not None):
             return
         if on:
-            from gpcjax.teach.taught import Evaluation
+            from gpcjax.teach.evaluation import Evaluation
 
             policy = self._taught.session.policy()
             self._evaluation = Evaluation(policy, self._taught.course, self._taught.episode)
@@ -347,6 +366,8 @@ class Lesson:
             self._prepare()
         except (UserError, OSError) as error:
             self._end()
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()  # nothing was begun in it
             self._folder, self._course, self._origin = before
             self._prepare()
             self._tell.problem(str(error))

@@ -1,5 +1,6 @@
 """The commands `gpcjax teach` and `gpcjax replay`, after their words were read and checked."""
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -56,6 +57,7 @@ def teach(
     elif folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: it holds something else, give a new folder (--out)")
     made = folder if folder is not None else new_folder(course.env if course else "")
+    fresh = not made.exists()
     try:
         made.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -68,13 +70,19 @@ def teach(
     def lesson(say: Say) -> Lesson:
         return Lesson(made, course, origin, options, say)
 
-    serving = Serving(lesson, host, port)
-    print(f"open {serving.address} in a browser; Ctrl-C ends the lesson, {made} keeps it", flush=True)
     stopped: KeyboardInterrupt | None = None
     try:
-        serving.run()
-    except KeyboardInterrupt as stop:
-        stopped = stop
+        serving = Serving(lesson, host, port)
+        print(f"open {serving.address} in a browser; Ctrl-C ends the lesson, {made} keeps it", flush=True)
+        try:
+            serving.run()
+        except KeyboardInterrupt as stop:
+            stopped = stop
+    except BaseException:
+        if fresh:
+            with contextlib.suppress(OSError):
+                made.rmdir()  # only what is empty: nothing was begun
+        raise
     print(f"kept in {serving.lesson.folder}: gpcjax teach --out {serving.lesson.folder} goes on with it")
     if stopped is not None and getattr(stopped, "status", ENDED) != ENDED:
         raise stopped

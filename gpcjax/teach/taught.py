@@ -1,4 +1,7 @@
-"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit."""
+"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit.
+
+Of more than 300 lines, as what happens live and what is made again count alike: they are read beside each other.
+"""
 
 import shutil
 import time
@@ -6,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import jax
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
@@ -13,16 +17,18 @@ from gpcjax.engine.session import ROOMS, Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
-from gpcjax.learners.base import Info, Learner, State
-from gpcjax.learners.saved import save_policy
-from gpcjax.policies.base import Policy
+from gpcjax.learners.base import Info
+from gpcjax.learners.recipes import check_recipe
+from gpcjax.policies.folder import write_folder
 from gpcjax.recording import Recording
-from gpcjax.registry import find
+from gpcjax.registry import built_in, find
+from gpcjax.sweep.build import pack_learned, recipe_of
 from gpcjax.teach.beginning import beginning, put
-from gpcjax.teach.course import POLICY, RECORD, SAVES, START, Course
+from gpcjax.teach.course import COURSE, RECORD, SAVES, START, Course
+from gpcjax.teach.evaluation import world_of
+from gpcjax.teach.kept import Kept, plain, replaced
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
-from gpcjax.teach.rows import write_rows
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import Moved, World
 from gpcjax.teach.worlds import Place, Worlds
@@ -64,6 +70,10 @@ class Taught:
     def __init__(self, folder: Path, course: Course, session: Session, world: World | Place, tally: Tally):
         self.folder, self.course, self.session, self.tally = folder, course, session, tally
         self.world = world
+        self._moved: Moved | None = None
+        """What the task has come to, as long as that could not be written down."""
+        self._noted, self._closed = False, False
+        """How far the end of an episode is written down, as long as that is not done."""
 
     @classmethod
     def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
@@ -72,15 +82,21 @@ class Taught:
         Raises:
             UserError: it cannot be written, or `origin` is of another task, or means nothing to this learner.
         """
-        start = None
-        if origin is not None:
-            start = folder / START
-            put(origin, start, course)
-        course.write(folder)
-        learner, state = beginning(course, start)
-        session = Session(learner, state, **settings_of(course), record=folder / RECORD)
-        taught = cls(folder, course, session, _world(course, pictures=True), Tally())
-        taught.begin_episode()
+        try:
+            start = None
+            if origin is not None:
+                start = folder / START
+                put(origin, start, course)
+            course.write(folder)
+            learner, state = beginning(course, start)
+            session = Session(learner, state, **settings_of(course), record=folder / RECORD)
+            taught = cls(folder, course, session, world_of(course, pictures=True), Tally())
+            taught.begin_episode()
+        except BaseException:  # what never began is no lesson to go on with
+            shutil.rmtree(folder / START, ignore_errors=True)
+            for name in (COURSE, RECORD):
+                (folder / name).unlink(missing_ok=True)
+            raise
         return taught
 
     @classmethod
@@ -105,7 +121,7 @@ class Taught:
         rooms = first["settings"].get(ROOMS)
         classroom = None
         if rooms is None:
-            world = _world(course, pictures=not whole)
+            world = world_of(course, pictures=not whole)
         elif places is None:
             world = Worlds(make_env(course.env), 1).enter(course.seed)
         else:
@@ -154,15 +170,34 @@ class Taught:
     def step(self) -> Episode | None:
         """Executes what is proposed, and proposes at what comes of it; gives the episode if that has ended.
 
+        A step that was executed and could not be written down is written down by the next call, and none is executed.
+
         Raises:
             UserError: the task gives something else than it declares, or the recording cannot be written.
         """
-        moved = self.world.step(self.session.action)
-        self.moved(moved)
-        if not moved.over:
-            self._propose(moved.obs)
-            return None
-        return self.end("over")
+        if not self.behind:
+            moved = self.world.step(self.session.action)
+            self.moved(moved)
+            self._moved = moved
+        return self.catch_up()
+
+    @property
+    def behind(self) -> bool:
+        """Whether something has happened that could not be written down yet."""
+        return self._moved is not None or self._noted or self._closed
+
+    def catch_up(self) -> Episode | None:
+        """Writes down what could not be before; gives the episode if that has ended then.
+
+        Raises:
+            UserError: it cannot be written yet.
+        """
+        if self._noted or self._closed or (self._moved is not None and self._moved.over):
+            return self.end("over")
+        if self._moved is not None:
+            self._propose(self._moved.obs)
+            self._moved = None
+        return None
 
     def moved(self, moved: Moved) -> None:
         """Counts a step of the task: the first part of `step`."""
@@ -174,10 +209,17 @@ class Taught:
         self.tally.hear(self.session, {"event": "propose"}, None)
 
     def end(self, why: str) -> Episode:
-        """Ends the episode and begins the next one."""
-        present = self.close(why)
+        """Ends the episode and begins the next one.
+
+        Raises:
+            UserError: it cannot be written down; the next call goes on where this one came to.
+        """
+        if not self._closed:
+            self.close(why)
+            self._closed, self._moved = True, None
         self.begin_episode()
-        return present
+        self._closed = False
+        return self.tally.finished[-1]
 
     def begin_episode(self) -> None:
         """Proposes at the first step of the present episode."""
@@ -187,9 +229,12 @@ class Taught:
         """Ends the episode, and begins none."""
         present = self.present
         values = {"ended": why, "total": present.total, "length": present.length}
-        self.session.note(**values)
-        self.tally.hear(self.session, {"event": "note", "values": values}, None)
+        if not self._noted:
+            self.session.note(**values)
+            self._noted = True
         self.session.end_episode()
+        self._noted = False
+        self.tally.hear(self.session, {"event": "note", "values": values}, None)
         return present
 
     def advise(self, press: Press, credited: int) -> Advised:
@@ -219,13 +264,20 @@ class Taught:
         return self.world.picture()
 
     def save(self, name: str) -> None:
-        """Keeps the session under a name, in place of what was kept there before.
+        """Keeps the learner under a name, in place of what was kept there before.
 
         Raises:
-            UserError: it cannot be written.
+            UserError: it cannot be written, or what a learner of one's own learns has no form in which it could be.
         """
-        session = self.session
-        _replaced(self.folder / SAVES / name, session.save)
+        session, place = self.session, self.folder / SAVES / name
+        if self.course.algo in built_in("learner"):
+            replaced(place, session.save)
+            return
+        cell = self.course.cell(1)
+        check_recipe(recipe_of(cell), f"save {name}")
+        card, arrays = pack_learned(cell, session.learner, session.state)
+        card["provenance"] = {"env": self.course.env}
+        replaced(place, lambda path: write_folder(path, card, arrays))
 
     def keep(self) -> Callable[[], None]:
         """What writes the rows as they are now and the policy, whenever it is called, in whatever thread.
@@ -241,9 +293,8 @@ class Taught:
         measured = tally.measurements(), tally.own(), tally.log()
 
         def kept(session: Session) -> Kept:
-            return Kept(
-                self.folder, self.course, session.learner, session.state, session.corrections, measured
-            )
+            state = jax.tree.map(plain, session.state)
+            return Kept(self.folder, self.course, session.learner, state, session.corrections, measured)
 
         return kept
 
@@ -277,56 +328,6 @@ class Taught:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
 
 
-class Kept(NamedTuple):
-    """Rows and policy as they are at some point."""
-
-    folder: Path
-    course: Course
-    learner: Learner
-    state: State
-    corrections: int
-    measured: tuple[dict[str, np.ndarray], ...]
-
-    def write(self) -> None:
-        """Writes them, in place of those before.
-
-        Raises:
-            UserError, OSError: they cannot be written.
-        """
-        provenance = {"env": self.course.env, "corrections": self.corrections}
-        _replaced(
-            self.folder / POLICY, lambda path: save_policy(path, self.learner, self.state, **provenance)
-        )
-        write_rows(self.folder, self.course, *self.measured)
-
-
-class Evaluation:
-    """The policy as it is now, on a simulation of its own: nothing is learned, and nothing recorded."""
-
-    def __init__(self, policy: Policy, course: Course, episode: int):
-        self._policy, self._world = policy, _world(course, pictures=True)
-        self.index, self.total, self.length = episode, 0.0, 0
-        self.obs = self._world.begin(episode)
-        self.action = np.asarray(policy(self.obs))
-
-    def step(self) -> bool:
-        """One step; True if the episode has ended."""
-        moved = self._world.step(self.action)
-        self.obs, self.total, self.length = moved.obs, self.total + moved.reward, self.length + 1
-        self.action = np.asarray(self._policy(moved.obs))
-        return moved.over
-
-    def again(self) -> None:
-        """The next episode."""
-        self.index, self.total, self.length = self.index + 1, 0.0, 0
-        self.obs = self._world.begin(self.index)
-        self.action = np.asarray(self._policy(self.obs))
-
-    def picture(self) -> np.ndarray | None:
-        """As `Taught.picture`."""
-        return self._world.picture()
-
-
 class _Progress:
     """Says how far a recording is made again, every second."""
 
@@ -346,20 +347,3 @@ def settings_of(course: Course) -> dict[str, Any]:
     credit = {name: given.get(name) for name in CREDIT}
     seconds = find("task", course.env).seconds
     return {**credit, "time_step": seconds, "seed": course.seed, "undos": UNDOS}
-
-
-def _world(course: Course, pictures: bool) -> World:
-    return World(make_env(course.env), course.seed, pictures)
-
-
-def _replaced(path: Path, write: Callable[[Path], Any]) -> None:
-    """Makes a folder anew by `write`: there is an old one or a new one at any time, but for a moment."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new, old = path.with_name(f".{path.name}.new"), path.with_name(f".{path.name}.old")
-    for left in (new, old):
-        shutil.rmtree(left, ignore_errors=True)
-    write(new)
-    if path.exists():
-        path.rename(old)
-    new.rename(path)
-    shutil.rmtree(old, ignore_errors=True)

@@ -9,11 +9,13 @@ from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.teach.chart import chart
+from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import SAVES
 from gpcjax.teach.errands import Errands
+from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.lesson import Options, Say, Standing
 from gpcjax.teach.protocol import NAME, Press
-from gpcjax.teach.taught import Advised, Evaluation, Taught
+from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import (
     advised_of,
     bounds,
@@ -59,11 +61,13 @@ class Teller:
         size = session.learner.obs_size
         self._axes = self.task.view.axes if max(self.task.view.axes) < size else (0, min(1, size - 1))
         self._chart = (*self._axes, 0)
-        self._quick, self._painter = Errands(self._failed), Errands(self._failed)
+        self._quick, self._painter, self._papers = (Errands(self._failed) for _ in range(3))
+        self._clerk: Clerk | None = None
         self._closed = False
 
     def begin(self) -> None:
         """Compiles and measures what is told, before anybody waits for a step; then tells everything."""
+        self._clerk = Clerk()
         self._draw_chart()
         try:
             self._measure_lines()
@@ -78,6 +82,9 @@ class Teller:
             self.keep(0.0)
         self._painter.close(drop=True)
         self._quick.close()
+        self._papers.close()
+        if self._clerk is not None:
+            self._clerk.close()
 
     # --- messages
 
@@ -215,7 +222,16 @@ class Teller:
 
     def keep(self, apart: float = KEEP_APART) -> None:
         """Has policy and rows written as they are now."""
-        self._quick.ask("keep", self._taught.keep(), apart)
+        kept = self._taught.kept()
+
+        def write() -> None:
+            now = kept(self._taught.session)
+            if self._clerk is None:
+                now.write()
+            else:
+                self._clerk.write(now)
+
+        self._papers.ask("keep", write, apart)
 
     def flush(self) -> None:
         """Has the recording on the disk each second, as long as the lesson goes on."""

@@ -1,6 +1,7 @@
 """One simulation that a person watches: of a compiled task, or of one that gymnasium simulates, step by step."""
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.engine import streams
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv, Simulation
+from gpcjax.errors import UserError
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -57,7 +59,17 @@ class World:
         return np.array(self._state.obs)
 
     def step(self, action: Float[np.ndarray, " action"]) -> Moved:
-        """What comes of an action in [-1, 1]."""
+        """What comes of an action in [-1, 1].
+
+        Raises:
+            UserError: the task gives something else than it declares, or a reward that is no number.
+        """
+        moved = self._step(action)
+        if (wrong := wrong_reward(moved)) is not None:
+            raise wrong
+        return moved
+
+    def _step(self, action: Float[np.ndarray, " action"]) -> Moved:
         if self._simulation is not None:
             assert isinstance(self._env, HostEnv)
             outcome = self._simulation.step(self._env.scaled(action))
@@ -75,6 +87,13 @@ class World:
             return self._simulation.picture()
         render = getattr(getattr(self._env, "task", self._env), "render", None)
         return _as_picture(render(self._state)) if callable(render) else None
+
+
+def wrong_reward(moved: Moved) -> UserError | None:
+    """What to say of a reward that no return can be counted with; None of any other."""
+    if math.isfinite(moved.reward):
+        return None
+    return UserError(f"a step of the task gave the reward {moved.reward}, its reward must be a finite number")
 
 
 def makes_pictures(env: Env | HostEnv) -> bool:

@@ -1,4 +1,4 @@
-"""A task that takes no time: a cart on a slope, and a teacher who pushes it back."""
+"""A task that takes no time: a cart on a slope, a teacher who pushes it back, and a learner of one's own."""
 
 import jax
 import jax.numpy as jnp
@@ -23,3 +23,17 @@ class Drift(gpcjax.Env):
 
 def expert(obs):
     return -jnp.clip(obs[:1] + 0.6 * obs[1:], -1.0, 1.0)
+
+
+class Linear(gpcjax.Learner):
+    """A linear policy, moved along the observation by each advice."""
+
+    def init(self, key=None):
+        return jnp.zeros((self.action_size, self.obs_size))
+
+    def propose(self, state, obs):
+        return state @ obs
+
+    def learn(self, state, moment, advice, key):
+        change = 0.5 * jnp.outer(advice, moment.obs)
+        return state + change, gpcjax.Info.of(rate=jnp.abs(change @ moment.obs))

@@ -161,3 +161,47 @@ def test_two_tabs(opened, browser):
     _until(lambda: second.evaluate(PHASE) in ("waiting", "paused"), 60)
     _until(lambda: page.evaluate(PHASE) == "taken", 60)
     second.close()
+
+
+GAMEPAD = """() => {
+  const buttons = Array.from({length: 16}, () => ({pressed: false}));
+  window.pad = {index: 0, connected: true, axes: [0, 0], buttons};
+  navigator.getGamepads = () => [window.pad];
+  dispatchEvent(new Event("gamepadconnected"));
+}"""
+
+
+def test_fingers_and_a_gamepad(opened):
+    """On a telephone: a tap is one advice, a held button repeats it; so do stick and cross, and B takes it back."""
+    phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
+    page, server = opened("cartpole", **phone)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 375
+    heights = page.evaluate("[...document.querySelectorAll('.pad')].map((pad) => pad.offsetHeight)")
+    assert len(heights) == 2 and min(heights) >= 44  # a finger's
+    page.tap(".pad-more")
+    _until(lambda: _shown(page, "corrections") == 1, 60)
+    touch = page.context.new_cdp_session(page)
+    box = page.locator(".pad-less").bounding_box()
+    point = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
+    _until(lambda: _shown(page, "corrections") >= 4, 60)
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    _until(lambda: page.evaluate("document.querySelectorAll('.pad.lit').length") == 0, 60)
+    page.evaluate(GAMEPAD)
+    stick, cross = (
+        ("axes[0] = 1", "axes[0] = 0"),
+        ("buttons[14].pressed = true", "buttons[14].pressed = false"),
+    )
+    for hold, leave in (stick, cross):
+        more = _shown(page, "corrections") + 2
+        page.evaluate(f"window.pad.{hold}")
+        _until(lambda more=more: _shown(page, "corrections") >= more, 60)
+        page.evaluate(f"window.pad.{leave}")
+    page.evaluate("window.pad.buttons[0].pressed = true")
+    _until(lambda: page.evaluate(PHASE) == "paused", 60)
+    before = _shown(page, "corrections")
+    page.evaluate("window.pad.buttons[1].pressed = true")
+    _until(lambda: _shown(page, "corrections") == before - 1, 60)
+    page.evaluate("window.pad.connected = false")
+    page.close()
+    server.end()

@@ -1,5 +1,6 @@
 """A lesson without its clock: rows, undo, saving, and a recording that leads to the same wherever it was cut."""
 
+import contextlib
 import json
 import shutil
 
@@ -13,8 +14,10 @@ from gpcjax.registry import find
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import Given, spec_of
 from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
+from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.protocol import Press
-from gpcjax.teach.taught import Evaluation, Taught
+from gpcjax.teach.taught import Taught
+from gpcjax.teach.world import Moved, World
 
 ENV = "tests.teach.drifting:Drift"
 
@@ -146,6 +149,22 @@ def test_saved_and_opened(lesson, tmp_path):
     assert_same(again, opened)
 
 
+def test_a_learner_of_ones_own_is_taught_kept_and_opened(tmp_path):
+    """Its policy has no format that another program reads: there are rows, and what was saved goes on."""
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    taught = Taught.begin(tmp_path / "one", course(algo=("tests.teach.drifting:Linear",)))
+    teach(taught, 20)
+    taught.keep()()
+    assert len(gpcjax.load(taught.folder)) == taught.episode > 0 and not (taught.folder / POLICY).exists()
+    taught.save("good")
+    opened = Taught.begin(tmp_path / "two", taught.course, taught.folder / SAVES / "good")
+    np.testing.assert_array_equal(opened.session.state, taught.session.state)
+    teach(opened, 3)
+    for each in (taught, opened):
+        assert_same(Taught.resume(each.folder, nothing, whole=True), each)
+
+
 def test_the_policy_alone_learns_and_records_nothing(lesson):
     size = (lesson.folder / RECORD).stat().st_size
     alone = Evaluation(lesson.session.policy(), lesson.course, 0)
@@ -271,6 +290,85 @@ class TestFullDisk:
         teach(taught, 3)
         assert_same(Taught.resume(taught.folder, nothing, whole=True), taught)
 
+    def test_a_disk_that_is_full_now_and_then_costs_no_step(self, tmp_path, monkeypatch):
+        """Each line may fail, also the last of an episode: what was executed is written down, and not done again."""
+        real, coins = Recording.append, np.random.default_rng(0)
+
+        def now_and_then(self, event):
+            if coins.random() < 0.4:
+                raise UserError("record: it cannot be written (No space left on device)")
+            real(self, event)
+
+        def insist(do):
+            for _ in range(100):
+                try:
+                    return do()
+                except UserError:
+                    failed.append(taught.behind)
+                    while taught.behind:  # as a lesson does before anything else
+                        with contextlib.suppress(UserError):
+                            taught.catch_up()
+            raise AssertionError("it never came to an end")
+
+        failed = []
+        (tmp_path / "plain").mkdir()
+        (tmp_path / "full").mkdir()
+        plain, taught = (Taught.begin(tmp_path / name, course()) for name in ("plain", "full"))
+        monkeypatch.setattr(Recording, "append", now_and_then)
+        while taught.episode < 3:
+            before = taught.present.length, taught.episode
+            insist(lambda: taught.advise(press(1), 0))
+            with contextlib.suppress(UserError):
+                taught.step()
+            while taught.behind:
+                with contextlib.suppress(UserError):
+                    taught.catch_up()
+            assert (taught.present.length, taught.episode) in (
+                (before[0] + 1, before[1]),
+                (0, before[1] + 1),
+            )
+        monkeypatch.undo()
+        while plain.episode < 3:
+            plain.advise(press(1), 0)
+            plain.step()
+        assert failed
+        assert_same(taught, plain)
+        assert_same(Taught.resume(taught.folder, nothing, whole=True), plain)
+
+    def test_a_proposal_that_fails_makes_no_step_of_its_own(self, tmp_path, monkeypatch):
+        taught = Taught.begin(tmp_path, course())
+        taught.step()
+        with monkeypatch.context() as patch:
+            patch.setattr(type(taught.session), "propose", _full)
+            for _ in range(3):
+                with pytest.raises(UserError, match="full"):
+                    taught.step()
+        assert taught.behind and taught.present.length == 2
+        taught.step()
+        assert not taught.behind and taught.present.length == 2
+        assert_same(Taught.resume(tmp_path, nothing, whole=True), taught)
+
+
+def _full(*given, **settings):
+    raise UserError("the disk is full")
+
+
+def test_what_never_began_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("gpcjax.teach.taught.Session", _full)
+    with pytest.raises(UserError, match="full"):
+        Taught.begin(tmp_path, course())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
+def test_a_reward_that_is_no_number_is_said(tmp_path, monkeypatch, reward):
+    taught = Taught.begin(tmp_path, course())
+    with monkeypatch.context() as patch:
+        patch.setattr(World, "_step", lambda self, action: Moved(np.zeros(2), reward, False))
+        with pytest.raises(UserError, match="reward must be a finite number"):
+            taught.step()
+    assert taught.present.length == 0 and not taught.behind
+
 
 class TestRefused:
     @pytest.mark.parametrize(
@@ -279,6 +377,7 @@ class TestRefused:
             (None, "cannot be read"),
             ("{", "damaged, or of another version"),
             ('{"format": 2}', "damaged, or of another version"),
+            ('{"format": 1, "env": "pendulum", "algo": "gpc", "settings": {}, "seed": true}', "damaged"),
             ('{"format": 1, "env": "moon", "algo": "gpc", "settings": {}, "seed": 0}', "env 'moon'"),
         ],
     )
