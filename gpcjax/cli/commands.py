@@ -86,15 +86,10 @@ def _teach() -> Command:
     def alone(option: Option) -> Flag:
         return replace(flag_of(option, "teach"), metavar=option.name.upper())
 
-    names = {
-        "env": OPTIONS["env"],
-        "algo": OPTIONS["algo"],
-        "oracle": OPTIONS["oracle"],
-        "out": OPTIONS["out"],
-    }
-    flags = {name: alone(option) for name, option in names.items()}
-    algo = f"{names['algo'].text} ({names['algo'].allowed}; default gpc, or gpc-ns on a task without values for it)"
-    whose = f"whose mean return is drawn as a line ({names['oracle'].allowed})"
+    flags = {name: alone(OPTIONS[name]) for name in ("env", "algo", "oracle", "out")}
+    learner, expert = OPTIONS["algo"], OPTIONS["oracle"]
+    algo = f"{learner.text} ({learner.allowed}; default gpc, or gpc-ns on a task without values for it)"
+    whose = f"whose mean return is drawn as a line ({expert.allowed})"
     lesson = (
         flags["env"],
         replace(flags["algo"], text=algo),

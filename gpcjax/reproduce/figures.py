@@ -70,6 +70,7 @@ def rates(experiment: Experiment) -> Drawing:
     study = experiment.study
     titles = [f"{words.percent(error)} error" for error in study.errors]
     titles += [f"{title}, normalised" for title in titles]
+    looks = style.looks(study.algorithms)
     with style.publication():
         figure, axes = style.panels(titles, columns=len(study.errors), share=False)
         for error, above, below in zip(
@@ -79,7 +80,7 @@ def rates(experiment: Experiment) -> Drawing:
                 curves = common_rates(experiment.group(algo, error), experiment.corrections)
                 if not curves.size:
                     continue
-                x, colour = np.arange(1, curves.shape[1] + 1), style.colour(algo)
+                x, colour = np.arange(1, curves.shape[1] + 1), looks[algo].colour
                 _walked(above, x, curves, colour)
                 mean = walking_mean(np.nanmean(curves, axis=0)[None], WINDOW)[0]
                 below.plot(x, mean / mean.max(), color=colour)
@@ -92,7 +93,7 @@ def rates(experiment: Experiment) -> Drawing:
         )
         style.legend(
             figure,
-            [Line2D([], [], color=style.colour(a), label=words.algorithm(a)) for a in study.algorithms],
+            [Line2D([], [], color=looks[a].colour, label=words.algorithm(a)) for a in study.algorithms],
         )
     return Drawing(
         figure,

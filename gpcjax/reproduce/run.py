@@ -12,7 +12,7 @@ from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import style
 from gpcjax.report.figures.style import Drawing
 from gpcjax.report.tables import result_sheets
-from gpcjax.reproduce import figures, page, records, sketches
+from gpcjax.reproduce import figures, page, records, sketched_errors, sketched_planes, sketches
 from gpcjax.reproduce.claims import claims
 from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
@@ -159,10 +159,10 @@ def _illustrations(shown: Illustrations) -> dict[str, Drawing]:
     return {
         "fig2_2_hyperparameters": sketches.hyperparameters(shown.hyperparameters),
         "fig3_2_three_corrections": sketches.situations(shown.situations),
-        "fig3_3_learning_rate": sketches.early_plane(shown.early),
+        "fig3_3_learning_rate": sketched_planes.early_plane(shown.early),
         "fig3_4_sparsification": sketches.sparsification(shown.sparsification),
-        "fig5_3_state_space": sketches.late_plane(shown.late),
-        "fig5_9_erroneous_advice": sketches.erroneous(shown.erroneous),
+        "fig5_3_state_space": sketched_planes.late_plane(shown.late),
+        "fig5_9_erroneous_advice": sketched_errors.erroneous(shown.erroneous),
     }
 
 

@@ -1,7 +1,5 @@
 """What a sweep is: one frozen specification made from flags, a TOML file or Python. Loads no jax."""
 
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -9,19 +7,18 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
-from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find
 from gpcjax.sweep import points as joint
+from gpcjax.sweep.fitting import check_advised, check_concerns
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
     TUNING,
     VARIANTS,
     accept,
-    concerns,
     option_of,
     parse,
     settings_of,
@@ -30,7 +27,7 @@ from gpcjax.sweep.points import POINTS, Point
 from gpcjax.sweep.scales import SCALES, check_scale
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.written import Written
+from gpcjax.sweep.tomlfile import read_file
 
 ORACLE = OPTIONS["teacher"].default
 """The teacher of the thesis (Alg. 4)."""
@@ -103,34 +100,6 @@ QUICK = "quick"
 """A table of settings in a TOML file that make its sweep a small one, used where that is asked for."""
 
 
-LARGEST_FILE = 1 << 18
-"""Bytes of a file of settings, at most: every setting takes a line, and a schedule of ten thousand chances fits."""
-
-DEEPEST = 16
-"""Brackets in brackets, and parts of a dotted key: settings need two of each, and `tomllib` takes time that grows with
-the square of the one and a frame of Python's stack for each of the other."""
-
-_TOKENS = re.compile(
-    r"""  "{3} (?: [^\\] | \\. )*? (?: "{3,5} | \\?\Z)  |  '{3} .*? (?: '{3,5} | \Z)  # texts over several lines
-      | " (?: [^"\\\n] | \\[^\n] )* (?: " | \\?$)  |  ' [^'\n]* (?: ' | $)  # and on one
-      | \# [^\n]*
-      | (?P<mark> [][{}.,=\n] )""",
-    re.VERBOSE | re.DOTALL | re.MULTILINE,
-)
-
-
-def read_table(path: Path, name: str) -> dict[str, Any]:
-    """The table of this name of a TOML file, for a command that has one; empty where there is none.
-
-    Raises:
-        UserError: the file cannot be read as TOML, or the name is no table's.
-    """
-    table = read_file(path).get(name, {})
-    if not isinstance(table, dict):
-        raise UserError(f"{path}: {name} is no table: begin one with a line [{name}]")
-    return table
-
-
 def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Given | Unchecked]:
     """The settings of a TOML file, each checked alone; with `quick` those of its table [quick] win.
 
@@ -152,50 +121,6 @@ def read_toml(path: Path, quick: bool = False, beside: str = "") -> dict[str, Gi
         return given | fewer
     unused = {name: each for name, each in fewer.items() if isinstance(each, Unchecked) and name not in given}
     return given | {name: each._replace(counts=False) for name, each in unused.items()}
-
-
-def read_file(path: Path) -> dict[str, Any]:
-    """What a TOML file holds, its fractions as they are written."""
-    try:
-        with open(path, "rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}): give a TOML file of settings") from None
-    except ValueError as error:  # a null byte in the path
-        raise UserError(f"{path}: no file can be there ({error}): give a TOML file of settings") from None
-    if len(content) > LARGEST_FILE:
-        raise UserError(f"{path}: too large for settings: {LARGEST_FILE:,} bytes are allowed")
-    try:
-        text = content.decode()
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: this is not a text file in UTF-8: {error}") from None
-    if _depth(text) > DEEPEST:
-        raise UserError(f"{path}: too deep for settings: give them as NAME = VALUE, one a line")
-    try:
-        return tomllib.loads(text, parse_float=Written)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # the first: not TOML, or an integer of more digits than are read
-        raise UserError(f"{path}: this is not TOML: {error}") from None
-
-
-def _depth(text: str) -> int:
-    """How deep brackets or the dots of a key go in TOML, outside of texts and comments; an estimate from above."""
-    open_brackets = dots = deepest = 0
-    for token in _TOKENS.finditer(text):
-        match token["mark"]:
-            case "[" | "{":
-                open_brackets += 1
-                dots = 0
-            case "]" | "}":
-                open_brackets = max(open_brackets - 1, 0)
-            case ".":
-                dots += 1
-            case "," | "=" | "\n":
-                dots = 0
-        deepest = max(deepest, open_brackets, dots)
-    return deepest
 
 
 def spec_of(**settings: Any) -> SweepSpec:
@@ -234,37 +159,11 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     own = settings_of(learners, [teacher])
     known = {name: _known(name, setting, own) for name, setting in given.items() if name != POINTS}
     known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}
-    value = {name: setting.value for name, setting in known.items()}
-    if teacher.action_size is not None and task.sizes and task.sizes[1] != teacher.action_size:
-        raise UserError(
-            f"teacher {teacher.name}: it advises on {teacher.action_size} action dimensions, "
-            f"{task.name} has {task.sizes[1]}"
-        )
-    for oracle in value.get("oracle", ()):
-        check_expert(task.name, oracle, known["oracle"].source)
-    if "oracle" not in value and not task.experts and not teacher.live:
-        raise UserError(
-            f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
-            "(--oracle, or oracle = in the TOML file)"
-        )
-    fields_of_points = _points(given.get(POINTS), own, known)
-    known |= {name: Given(None, given[POINTS].source) for name in joint.names_of(fields_of_points)}
-    for name, setting in known.items():
-        if not any(concerns(name, learner, teacher) for learner in learners):
-            alone = f"with {' and '.join(algo)} alone it changes nothing"
-            others = [
-                each for each in OPTIONS["algo"].default if concerns(name, find("learner", each), teacher)
-            ]
-            raise UserError(
-                f"{setting.source}: {alone}, give it with {' or '.join(others) or 'another teacher'}"
-            )
-    if "static_rate" in known and "constant_rate" in known:
-        source = known["constant_rate"].source
-        raise UserError(f"{source}: beside static_rate it changes nothing, give one of the two")
-    if "rate_schedule" in known and "rate" in known:
-        raise UserError(
-            f"{known['rate'].source}: beside rate_schedule it changes nothing, give one of the two"
-        )
+    check_advised(task, teacher, known.get("oracle"))
+    points = _points(given.get(POINTS), own, known)
+    known |= {name: Given(None, given[POINTS].source) for name in joint.names_of(points)}
+    check_concerns(known, algo, learners, teacher)
+    value = {name: setting.value for name, setting in known.items() if name in given}
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
         "episodes": task.episodes,
         "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
@@ -275,7 +174,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     fields = {name: value.get(name, default) for name, default in defaults.items()}
     ours = [option.name for option in TUNING]
     fields["hyperparameters"] = {name: value[name] for name in [*ours, *sorted(own)] if name in value}
-    fields[POINTS] = fields_of_points
+    fields[POINTS] = points
     if "start" in known:
         from gpcjax.sweep.sources import source_of  # which reads run folders: only where one is named
 

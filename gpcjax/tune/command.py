@@ -25,9 +25,9 @@ from gpcjax.sweep.spec import (
     as_dict,
     from_dict,
     make_spec,
-    read_table,
     read_toml,
 )
+from gpcjax.sweep.tomlfile import read_table
 from gpcjax.tune import halving, space
 from gpcjax.tune.flags import FLAGS, TABLE, TAKEN, own_values
 from gpcjax.tune.halving import Rung

@@ -16,6 +16,10 @@ from gpcjax.report.summary import summarise
 from tests.report import synthetic
 
 
+def colour_of(algo):
+    return style.looks([algo])[algo].colour
+
+
 def summary_of(frame, varying=(), **changes):
     return summarise(gather(frame, synthetic.manifest(frame, varying, **changes)))
 
@@ -29,7 +33,7 @@ def lines_of(axis, algo):
     return [
         line
         for line in axis.lines
-        if line.get_color() == style.colour(algo) and line.get_linestyle() not in ("None", "none", "")
+        if line.get_color() == colour_of(algo) and line.get_linestyle() not in ("None", "none", "")
     ]
 
 
@@ -126,7 +130,7 @@ def test_the_final_return_of_every_run_stands_beside_the_curves():
         places = []
         for group in summary.study.select(oracle, error):
             dots = [line for line in axis.lines if line.get_marker() in (".", "x")]
-            dots = [line for line in dots if line.get_color() == style.colour(group.algo)]
+            dots = [line for line in dots if line.get_color() == colour_of(group.algo)]
             shown = np.concatenate([line.get_ydata() for line in dots])
             assert sorted(shown) == pytest.approx(sorted(group.final.values))
             crosses = [line.get_ydata().tolist() for line in dots if line.get_marker() == "x"]
@@ -180,7 +184,7 @@ def test_learning_rates_are_medians_by_index_of_correction(cartpole):
     assert "median over runs" in caption and " mean " not in caption
     assert figure.axes[0].get_ylabel() == "learning rate, median of runs"
     axis = figure.axes[1]
-    (line,) = [line for line in axis.lines if line.get_color() == style.colour("coach")]
+    (line,) = [line for line in axis.lines if line.get_color() == colour_of("coach")]
     rows = corrections[(corrections["algo"] == "coach") & (corrections["error"] == 0.1)]
     index = rows.groupby("seed").cumcount()
     number = len(line.get_ydata())
@@ -248,7 +252,7 @@ def test_learning_rates_of_a_grid_are_those_of_the_best_point(grid):
     figure, _, caption = curves.learning_rates(grid, corrections)
     axis = figure.axes[0]
     assert "highest mean final return" in caption
-    (line,) = [line for line in axis.lines if line.get_color() == style.colour("gpc")]
+    (line,) = [line for line in axis.lines if line.get_color() == colour_of("gpc")]
     assert set(line.get_ydata().round(12)) == {grid.leading[0].group.point.get("policy_length_scale")}
 
 
@@ -282,7 +286,7 @@ def test_one_setting_makes_lines_and_three_show_the_best_of_the_third():
     assert "of lines with its 95% interval" in caption
     (axis,) = figure.axes
     assert axis.get_xscale() == "log" and axis.get_xlabel() == r"$\delta$"
-    assert {style.colour("gpc").upper(), style.colour("coach").upper()} <= colours(axis)
+    assert {colour_of("gpc").upper(), colour_of("coach").upper()} <= colours(axis)
     drawn(figure)
 
     names = ["policy_length_scale", "human_length_scale", "policy_nu"]

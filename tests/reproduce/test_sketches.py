@@ -8,7 +8,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from gpcjax.report.figures import style
-from gpcjax.reproduce import records, sketches
+from gpcjax.reproduce import records, sketched_errors, sketched_planes, sketches
 
 RNG = np.random.default_rng(0)
 
@@ -103,10 +103,10 @@ def erroneous():
 FIGURES = {
     "hyperparameters": (sketches.hyperparameters, hyperparameters, 2),
     "situations": (sketches.situations, situations, 8),
-    "early_plane": (sketches.early_plane, plane, 2),
+    "early_plane": (sketched_planes.early_plane, plane, 2),
     "sparsification": (sketches.sparsification, sparsification, 2),
-    "late_plane": (sketches.late_plane, plane, 3),
-    "erroneous": (sketches.erroneous, erroneous, 6),
+    "late_plane": (sketched_planes.late_plane, plane, 3),
+    "erroneous": (sketched_errors.erroneous, erroneous, 6),
 }
 each_figure = pytest.mark.parametrize("name", FIGURES)
 the_fullest = pytest.mark.parametrize(
@@ -166,10 +166,10 @@ def test_maps_have_units_bars_and_fitting_colours(name):
     figure, panels, count = drawn(name)
     assert panels[0].get_xlabel().endswith("[rad]") and panels[0].get_ylabel().endswith("[rad/s]")
     images = [axis.images[0] for axis in panels]
-    assert images[0].get_cmap().name == sketches.DIVERGING
+    assert images[0].get_cmap().name == sketched_planes.DIVERGING
     assert images[0].norm.vmin == -images[0].norm.vmax == -1.0
     for image in images[1:]:
-        assert image.get_cmap().name == sketches.SEQUENTIAL and image.norm.vmin == 0.0
+        assert image.get_cmap().name == sketched_planes.SEQUENTIAL and image.norm.vmin == 0.0
     bars = [axis for axis in figure.axes if axis not in panels]
     assert len(bars) == count and all(bar.get_xlabel() for bar in bars)
     # The middle of an outermost colour is at the edge.
@@ -211,7 +211,7 @@ def test_what_the_scan_cannot_show_is_marked():
     """Where the teacher was silent before the advice that would err, a series has a small cross and no point."""
     record = erroneous()
     record.scanned_samples[1, :2, 2] = np.nan
-    drawing = sketches.erroneous(record)
+    drawing = sketched_errors.erroneous(record)
     crosses = [line for line in drawing.figure.axes[5].lines if line.get_marker() == "x"]
     assert [len(line.get_xdata()) for line in crosses] == [0, 0, 2]
     np.testing.assert_array_equal(crosses[2].get_xdata(), record.scanned_length_scales[:2])
@@ -227,5 +227,8 @@ def test_lines_upon_each_other_differ_in_their_dashes():
 
 @pytest.mark.slow
 def test_drawing_loads_no_jax():
-    code = "import sys, gpcjax.reproduce.sketches; assert not {'jax', 'matplotlib.pyplot'} & set(sys.modules)"
+    modules = ", ".join(
+        f"gpcjax.reproduce.{name}" for name in ("sketches", "sketched_planes", "sketched_errors")
+    )
+    code = f"import sys, {modules}; assert not {{'jax', 'matplotlib.pyplot'}} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

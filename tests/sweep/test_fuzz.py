@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from gpcjax import cli
-from gpcjax.sweep.spec import LARGEST_FILE, SweepSpec
+from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.tomlfile import LARGEST_FILE
 
 COUNT = 2000
 """Specifications of each kind, flags and TOML."""

@@ -23,6 +23,9 @@ ORACLE_COLOUR = "#333333"
 IDLE_COLOUR = "#777777"
 INK = "#222222"
 
+ACTION = "action [-1, 1]"
+"""The label of an action's axis."""
+
 ONE_PANEL = 3.5
 PANEL_WIDTH, PANEL_HEIGHT = 2.4, 2.05
 """Inches; one panel fits a journal's column, three its page."""
@@ -131,11 +134,6 @@ def looks(algorithms: Sequence[str]) -> dict[str, Look]:
     return {name: _FIXED.get(name) or own[name] for name in algorithms}
 
 
-def colour(algo: str) -> str:
-    """Of a learner that looks the same in every figure."""
-    return _FIXED[algo].colour
-
-
 def panels(
     titles: Sequence[str], columns: int | None = None, share: bool = True
 ) -> tuple[Figure, list[Axes]]:
@@ -207,6 +205,13 @@ def follow_lines(axes: Sequence[Axes], also: Sequence[float] = (), bottom: float
     for axis in axes:
         axis.set_ylim(low - margin if bottom is None else bottom, high + margin)
     return bool(band.max() > high or band.min() < (low if bottom is None else min(low, bottom)))
+
+
+def same_height(axes: Sequence[Axes]) -> None:
+    """Gives all of them one range of y, which holds that of each."""
+    low, high = zip(*(axis.get_ylim() for axis in axes), strict=True)
+    for axis in axes:
+        axis.set_ylim(min(low), max(high))
 
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
