@@ -24,7 +24,11 @@ def draw(record: dict[str, Any], path: Path) -> None:
         figure, axes = plt.subplots(2, 2, figsize=(7, 5), layout="constrained")
         for axis, (name, label) in zip(axes.flat, PANELS.items(), strict=True):
             _panel(axis, name, label, record["curves"][name])
-        figure.suptitle("GPC on cart-pole: environment steps per second, median and range", fontsize=9)
+        episodes = record["curves"]["case"]["episodes"]
+        figure.suptitle(
+            f"GPC on cart-pole, runs of {episodes} episodes: environment steps per second, median and range",
+            fontsize=9,
+        )
         figure.savefig(path, dpi=150)
         plt.close(figure)
 

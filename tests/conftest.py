@@ -17,7 +17,7 @@ from jaxtyping import install_import_hook
 import tests.typechecker  # noqa: F401  (the hook finds it by name)
 from gpcjax.sweep.environment import xla_options
 
-pytest_plugins = ["tests.tiers"]
+pytest_plugins = ["tests.tiers", "tests.memory"]
 
 COMPUTING = (
     "gpcjax.elementary gpcjax.engine gpcjax.envs gpcjax.gp gpcjax.learners gpcjax.moment gpcjax.policies"
@@ -91,6 +91,7 @@ COMPILED_PLAINLY = (
     "gp/test_factor.py",
     "gp/test_fit.py",
     "gp/test_kernels.py",
+    "gp/test_likelihood.py",
     "gp/test_regression.py",
     "learners/test_calls.py",
     "learners/test_carried.py",
@@ -99,6 +100,7 @@ COMPILED_PLAINLY = (
     "learners/test_gpc.py",
     "learners/test_parity.py",
     "learners/test_saved.py",
+    "learners/test_scaling.py",
     "policies/",
     "reproduce/test_illustrations.py",
     "study/",
@@ -108,12 +110,15 @@ COMPILED_PLAINLY = (
     "sweep/test_schedule.py",
     "sweep/test_start.py",
     "sweep/test_sweeps.py",
+    "teach/test_from.py",
     "teach/test_lesson.py",
     "teach/test_taught.py",
     "teachers/",
+    "tune/test_likelihood.py",
     "docs/",
     "test_foreign.py",
     "test_pickle.py",
+    "test_play.py",
     "test_public.py",
     "test_settings.py",
 )
@@ -124,6 +129,14 @@ one program. It compiles in half of the time. Others look at programs, compare b
 LONGEST = (
     "teach/test_browser.py",
     "docs/test_snippets.py",
+    "sweep/test_underway.py",
+    "test_notebook.py",
+    "engine/test_together.py",
+    "tune/test_tuning.py",
+    "study/test_hall.py",
+    "study/test_server.py",
+    "test_settings.py",
+    "study/test_rehearsal.py",
     "sweep/test_sweeps.py",
     "engine/test_keeping.py",
     "learners/test_gpc.py",
@@ -162,6 +175,12 @@ LONGEST = (
 def pytest_collection_modifyitems(items):
     places = {f"tests/{name}": place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0], len(LONGEST)))
+
+
+def pytest_collection_finish():
+    """What all modules loaded stays to the end: who collects garbage need not look at its half a million objects."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -206,7 +225,9 @@ def _compile(plainly):
         jax.config.update("jax_disable_most_optimizations", plainly)
 
 
-QUICKLY = {"xla_cpu_use_fusion_emitters": False} if xla_options() else {}
+QUICKLY = (
+    {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 1} if xla_options() else {}
+)
 """What XLA is told beside, where its version is one that knows it: its older emitter needs two fifths of the time."""
 
 _options_of = compiler.get_compile_options
