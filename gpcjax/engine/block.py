@@ -273,13 +273,13 @@ class Block:
         size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(entries[:1]))
         most, most_bytes = (TOGETHER, TOGETHER_BYTES) if together() else (ENTER, ENTER_BYTES)
         at_once = min(most, self.tier.lanes, max(1, most_bytes // max(size, 1)))
+        entering = enter_together if together() else enter
         free = [place for place in range(self.tier.lanes) if place not in self.runs]
         for first in range(0, len(entries), at_once):
             batch = entries[first : first + at_once]
             places = np.resize(np.array(free[first : first + len(batch)], np.int32), at_once)
             padded = [*batch, *[batch[-1]] * (at_once - len(batch))]
             stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
-            entering = enter_together if together() else enter
             self._call(program, entering, places, np.int32(len(batch)), stacked)
         self.runs.update(zip(free, runs, strict=False))
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -18,7 +17,7 @@ from gpcjax.engine.credited import (
 )
 from gpcjax.engine.lanes import Lane, Phase
 from gpcjax.engine.lanewise import each, opaque, put, take
-from gpcjax.engine.together import controllers, correct_together, joint_moment, where_lanes
+from gpcjax.engine.together import correct_together, idle_together, joint_moment
 from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, Status
 
@@ -137,16 +136,6 @@ def _idle(block: Lane) -> Lane:
     # One that waits for room comes back to this step, with the correction that is to come first.
     due = block.waiting & (block.phase == Phase.RUNNING) & idle_is_due(block.learner, block.env.time)
     if together():
-        keys = jax.vmap(lambda *numbers: streams.learner_key(*numbers, use=1))(
-            block.seed, block.episode, block.env.time
-        )
-        after, outcome = jax.vmap(lambda learner, *others: learner._idle(*others))(
-            block.learner, block.state, keys
-        )
-        state = where_lanes(due, after, block.state)
-        status = jnp.where(due, jnp.maximum(block.status, outcome), block.status)
-        return dataclasses.replace(
-            block, state=state, controller=controllers(block, state, due), status=status
-        )
+        return idle_together(block, due)
     state, controller, status = each(due, body, (block.state, block.controller, block.status))
     return dataclasses.replace(block, state=state, controller=controller, status=status)

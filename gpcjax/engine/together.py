@@ -6,6 +6,7 @@ each lane keeps what its own advice comes to.
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -52,9 +53,9 @@ def correct_together(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
             return one(learner, state, Credited(block, place, which), dimension)
 
         after, info = jax.vmap(lane)(learner, states, places)
-        states = where_lanes(due, after, states)
+        states = _where_lanes(due, after, states)
         for number in range(advice.shape[0]) if learner.joint else (dimension,):
-            done = jax.vmap(lambda info: of_dimension(info, number))(info) if learner.joint else info  # noqa: B023
+            done = jax.vmap(partial(of_dimension, dimension=number))(info)
             counted = due & (which == 0) & (advice[number] != 0)
             tally = count_corrections(tally, places, _only(done, due), counted)
             where = block.episode, block.env.time, jnp.full_like(places, number)
@@ -64,17 +65,34 @@ def correct_together(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
 
     carry = block.state, block.tally, block.log, block.status
     state, tally, log, status = lax.fori_loop(0, pending.shape[0], turn, carry)
-    controller = controllers(block, state, pending.any(0))
+    controller = _controllers(block, state, pending.any(0))
     return dataclasses.replace(block, state=state, controller=controller, tally=tally, log=log, status=status)
 
 
-def controllers(block: Lane, state: State, changed: Bool[Array, " lanes"]) -> PyTree:
+def idle_together(block: Lane, due: Bool[Array, " lanes"]) -> Lane:
+    """Lets the lanes that are due go on learning from what they have kept."""
+
+    def key(*numbers: Int[Array, ""]) -> Array:
+        return streams.learner_key(*numbers, use=1)
+
+    def one(learner: Learner, state: State, key: Array) -> tuple[State, Array]:
+        return learner._idle(state, key)
+
+    keys = jax.vmap(key)(block.seed, block.episode, block.env.time)
+    after, outcome = jax.vmap(one)(block.learner, block.state, keys)
+    state = _where_lanes(due, after, block.state)
+    status = jnp.where(due, jnp.maximum(block.status, outcome), block.status)
+    controller = _controllers(block, state, due)
+    return dataclasses.replace(block, state=state, controller=controller, status=status)
+
+
+def _controllers(block: Lane, state: State, changed: Bool[Array, " lanes"]) -> PyTree:
     """The block's controllers, with those anew whose states have changed."""
     after = jax.vmap(lambda learner, state: learner.controller(state), out_axes=-1)(block.learner, state)
     return jax.tree.map(lambda new, old: jnp.where(changed, new, old), after, block.controller)
 
 
-def where_lanes(mask: Bool[Array, " lanes"], after: PyTree, before: PyTree) -> PyTree:
+def _where_lanes(mask: Bool[Array, " lanes"], after: PyTree, before: PyTree) -> PyTree:
     """`after` for the lanes of the mask, of trees whose first axis are the lanes."""
 
     def one(new: Array, old: Array) -> Array:
