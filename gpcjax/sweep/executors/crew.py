@@ -109,11 +109,10 @@ class Crew:
 
         Nobody waits for the ends of Ray's own processes, which take seconds.
         """
-        placed = [member for member in self._members.values() if member.machine is not None]
-        for member in placed:
-            member.closing = member.actor.close.remote()
-        closing = [member.closing for member in (*placed, *self._leaving)]
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception):  # Ray itself may be gone
+            placed = [member for member in self._members.values() if member.machine is not None]
+            closing = [member.actor.close.remote() for member in placed]
+            closing += [member.closing for member in self._leaving]
             if closing:
                 self._ray.wait(closing, num_returns=len(closing), timeout=CLOSING)
         for member in (*self._members.values(), *self._leaving):
