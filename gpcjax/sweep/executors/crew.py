@@ -87,7 +87,16 @@ class Crew:
         for number in range(self._desk.workers):
             self._hire(number)
         idle = time.monotonic()
-        while not self._desk.done or any(map(self._is_awaited, self._members.values())):
+        done = None
+        while True:
+            if self._desk.done:
+                done = done or time.monotonic()
+                # One that hangs may have taken no cell yet: nobody waits long for last words.
+                if (
+                    not any(map(self._is_awaited, self._members.values()))
+                    or time.monotonic() > done + CLOSING
+                ):
+                    return
             stopping.check()
             try:
                 member, future = self._heard.get(timeout=LOOK_SECONDS)
