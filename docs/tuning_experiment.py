@@ -103,7 +103,7 @@ def cases() -> tuple[Case, ...]:
         Case("mountaincar", "gpc"),
         Case("mountaincar", "gpc-ns", seeds=20),
         Case("pendulum", "gpc"),
-        Case("pendulum", "gpc-ns", seeds=40),
+        Case("pendulum", "gpc-ns", seeds=20),
         Case("lunarlander", "gpc", seeds=16, fitted=8, more={**LANDER, "episodes": 40}),
         Case("lunarlander", "gpc-ns", seeds=8, fitted=6, takes=alone, more={**LANDER, "episodes": 20}),
     )

@@ -87,7 +87,16 @@ class Crew:
         for number in range(self._desk.workers):
             self._hire(number)
         idle = time.monotonic()
-        while not self._desk.done or any(map(self._is_awaited, self._members.values())):
+        done = None
+        while True:
+            if self._desk.done:
+                done = done or time.monotonic()
+                # One that hangs may have taken no cell yet: nobody waits long for last words.
+                if (
+                    not any(map(self._is_awaited, self._members.values()))
+                    or time.monotonic() > done + CLOSING
+                ):
+                    return
             stopping.check()
             try:
                 member, future = self._heard.get(timeout=LOOK_SECONDS)
@@ -109,11 +118,10 @@ class Crew:
 
         Nobody waits for the ends of Ray's own processes, which take seconds.
         """
-        placed = [member for member in self._members.values() if member.machine is not None]
-        for member in placed:
-            member.closing = member.actor.close.remote()
-        closing = [member.closing for member in (*placed, *self._leaving)]
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception):  # Ray itself may be gone
+            placed = [member for member in self._members.values() if member.machine is not None]
+            closing = [member.actor.close.remote() for member in placed]
+            closing += [member.closing for member in self._leaving]
             if closing:
                 self._ray.wait(closing, num_returns=len(closing), timeout=CLOSING)
         for member in (*self._members.values(), *self._leaving):
