@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from gpcjax.allowed import shown
@@ -124,10 +123,10 @@ class Contents:
         part, episode, digest = state.place
         try:
             rows = _part(self.folder / KEPT / part)
-            same = pc.equal(rows["seed"], state.values["seed"])
-            for name, value in (("episode", episode), ("algo", state.values["algo"])):
-                same = pc.and_(same, pc.equal(rows[name], value))
-            found = rows.filter(same)
+            wanted = (state.values["algo"], state.values["seed"], episode)
+            columns = (rows[name].to_pylist() for name in ("algo", "seed", "episode"))
+            same = [index for index, own in enumerate(zip(*columns, strict=True)) if own == wanted]
+            found = rows.take(same)
             pairs = zip(found["card"].to_pylist(), found["arrays"].to_pylist(), strict=True)
             return next(pair for pair in pairs if _sum(*pair) == digest)
         except (OSError, KeyError, StopIteration, pa.ArrowException):
@@ -152,7 +151,7 @@ class Contents:
 @functools.lru_cache(maxsize=1)
 def _part(path: Path) -> pa.Table:
     """Of neighbouring runs it is the same one."""
-    return pq.read_table(path, columns=["algo", "seed", "episode", "card", "arrays"], partitioning=None)
+    return pq.ParquetFile(path).read(columns=["algo", "seed", "episode", "card", "arrays"])
 
 
 def source_of(text: str, place: str) -> Source:
