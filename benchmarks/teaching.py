@@ -1,8 +1,9 @@
 """How a person at a browser would feel it: `make bench-teach`, with ARGS="--env E --algo A --points N".
 
 A server as `gpcjax teach` starts it, with nothing compiled before, and Chromium on the same machine. Keys are held, now
-this, now that, until so many advices were learned; the page's own marks tell when a key went down, when its answer came
-when that was drawn, and when the first step of the changed policy was there. One line of JSON at the end, for `benchmarks/README.md`.
+this, now that, until so many advices were learned; the page's marks tell when a key went down, when its answer came,
+when that was drawn, and when the first step of the changed policy was there. One line of JSON at the end, for
+`benchmarks/README.md`, with the machine's load of the last five minutes.
 
 Then many at once, as in a study: `benchmarks.classroom`, with TEACHERS="1,8,64" of them (--teachers).
 """
@@ -93,7 +94,10 @@ def measure(page: Page, address: str, began: float, points: int) -> dict[str, An
         "page_s": round(there, 2),
         "ready_s": round(ready, 2),
         "corrections": corrections,
-        **{f"key_to_{kind}_ms": _spread(marks["press"], marks[kind]) for kind in ("advised", "drawn", "followed")},
+        **{
+            f"key_to_{kind}_ms": _spread(marks["press"], marks[kind])
+            for kind in ("advised", "drawn", "followed")
+        },
     }
 
 
