@@ -1,8 +1,9 @@
 """How a person at a browser would feel it: `make bench-teach`, with ARGS="--env E --algo A --points N".
 
 A server as `gpcjax teach` starts it, with nothing compiled before, and Chromium on the same machine. Keys are held, now
-this, now that, until so many advices were learned; the page's own marks tell when a key went down, when its answer came
-and when that was drawn. One line of JSON at the end, for `benchmarks/README.md`.
+this, now that, until so many advices were learned; the page's marks tell when a key went down, when its answer came,
+when that was drawn, and when the first step of the changed policy was there. One line of JSON at the end, for
+`benchmarks/README.md`, with the machine's load of the last five minutes.
 
 Then many at once, as in a study: `benchmarks.classroom`, with TEACHERS="1,8,64" of them (--teachers).
 """
@@ -28,7 +29,7 @@ PHASE = "document.documentElement.dataset.phase"
 MARKS = """() => {
   const marks = (kind) => performance.getEntriesByType("mark").filter((mark) => mark.name.startsWith(kind + "-"))
     .map((mark) => [Number(mark.name.slice(kind.length + 1)), mark.startTime]);
-  return {press: marks("press"), advised: marks("advised"), drawn: marks("drawn")};
+  return {press: marks("press"), advised: marks("advised"), drawn: marks("drawn"), followed: marks("followed")};
 }"""
 HELD_SECONDS = 1.5
 
@@ -64,7 +65,8 @@ def main() -> None:
                 server.send_signal(signal.SIGINT)
                 server.wait()
                 browser.close()
-        print(json.dumps({**vars(arguments), **figures, **pace(folder)}), flush=True)
+        load = os.getloadavg()[1]
+        print(json.dumps({**vars(arguments), **figures, **pace(folder), "load": load}), flush=True)
     classroom.run(arguments.teachers, f"{arguments.env}/{arguments.algo}", classroom.SECONDS)
 
 
@@ -76,7 +78,7 @@ def measure(page: Page, address: str, began: float, points: int) -> dict[str, An
         time.sleep(0.05)
     ready = time.monotonic() - began
     page.keyboard.press("Space")
-    marks: dict[str, dict[int, float]] = {"press": {}, "advised": {}, "drawn": {}}
+    marks: dict[str, dict[int, float]] = {"press": {}, "advised": {}, "drawn": {}, "followed": {}}
     keys, corrections = ["ArrowLeft", "ArrowRight"], 0
     while corrections < points:
         page.keyboard.down(keys[0])
@@ -92,7 +94,10 @@ def measure(page: Page, address: str, began: float, points: int) -> dict[str, An
         "page_s": round(there, 2),
         "ready_s": round(ready, 2),
         "corrections": corrections,
-        **{f"key_to_{kind}_ms": _spread(marks["press"], marks[kind]) for kind in ("advised", "drawn")},
+        **{
+            f"key_to_{kind}_ms": _spread(marks["press"], marks[kind])
+            for kind in ("advised", "drawn", "followed")
+        },
     }
 
 

@@ -48,12 +48,16 @@ def film(target: Path, env: str = "cartpole", chromium: str = "/usr/bin/chromium
         for _, picture in pictures
     ]
     some = small[:: max(1, len(small) // 8)]
+    # What is lit now and then is small: its colours come into the palette by showing it alone.
+    some += [picture.crop((0, int(0.83 * picture.height), WIDTH, picture.height)) for picture in small[::2]]
     all_of_them = Image.new("RGB", (WIDTH, sum(picture.height for picture in some)))
-    for place, picture in enumerate(some):
-        all_of_them.paste(picture, (0, place * picture.height))
+    at = 0
+    for picture in some:
+        all_of_them.paste(picture, (0, at))
+        at += picture.height
     palette = all_of_them.quantize(COLOURS)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in small]
-    times = [at for at, _ in pictures] + [SECONDS + 1.0]
+    times = [when for when, _ in pictures] + [SECONDS + 1.0]
     shown = [round(1000 * (after - at)) for at, after in itertools.pairwise(times)]
     frames[0].save(target, save_all=True, append_images=frames[1:], duration=shown, loop=0, optimize=True)
 

@@ -77,12 +77,13 @@ def test_a_mistake_is_said_in_one_line(capsys, words, said):
     assert said in fails(capsys, "teach", *words)
 
 
-def test_a_port_in_use(capsys):
+def test_a_port_in_use(capsys, here):
     with contextlib.closing(bound("127.0.0.1", 0, 1)) as taken:
         number = str(taken.getsockname()[1])
         assert f"--port {number}" in fails(
             capsys, "teach", "--env", "pendulum", "--out", "o", "--port", number
         )
+    assert not (here / "o").exists()  # nothing was begun in it
 
 
 def test_a_folder_of_something_else(capsys, here):

@@ -339,6 +339,19 @@ def test_the_newest_frame_is_sent_and_all_else_in_order(alone):
         assert ids == list(range(0, 400, 4)) and frames == sorted(set(frames)) and len(frames) < 100
 
 
+def test_a_number_that_json_does_not_know_is_null(alone):
+    """A browser would read nothing of such a message."""
+    with alone.page() as page:
+        alone.lesson.hears("joined")
+        odd = {"type": "episode", "total": float("nan"), "each": [1.5, float("inf"), {"rate": -float("inf")}]}
+        alone.lesson.say(odd)
+        assert _until(page, "episode") == {
+            "type": "episode",
+            "total": None,
+            "each": [1.5, None, {"rate": None}],
+        }
+
+
 def test_a_page_that_does_not_read_is_left(alone):
     with alone.page(max_queue=1, close_timeout=0.2) as page:
         alone.lesson.hears("joined")

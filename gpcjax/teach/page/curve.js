@@ -20,13 +20,14 @@ export class Curve {
     const { width, height } = this.board;
     const known = [...Object.values(lines).filter((each) => Number.isFinite(each))];
     const [low, high] = extent([taught, runs], known);
-    const box = { left: 44, right: width - 10, top: 10, bottom: height - 22 };
+    const box = { left: 50, right: width - 10, top: 10, bottom: height - 22 };
     const last = Math.max(10, history.count);
     const x = (episode) => box.left + ((episode - 1) / (last - 1)) * (box.right - box.left);
     const y = (total) => box.bottom - ((total - low) / (high - low)) * (box.bottom - box.top);
     if (taught.length || runs.length || known.length) axes(context, box, { low, high, last, x, y });
     this.level(context, box, y, lines.idle, "doing nothing", "right");
-    this.level(context, box, y, lines.oracle, "oracle", "left");
+    // The first episodes are at the left; later ones come near to this line at the right.
+    this.level(context, box, y, lines.oracle, "oracle", history.count < last / 2 ? "right" : "left");
     drawTaught(context, taught, x, y);
     drawRuns(context, runs, x, y, box);
     if (!taught.length) {

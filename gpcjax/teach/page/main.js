@@ -52,6 +52,8 @@ let pair = 0;
 let pressed = 0;
 /** Marks of the browser's clock are kept for so many advices. */
 const MARKS = 1000;
+/** Advices after which no step was shown yet. @type {{id: number, n: number}[]} */
+let unfollowed = [];
 
 /** @param {number} dim @param {number} h @param {boolean} held @param {number} at */
 function press(dim, h, held, at) {
@@ -64,7 +66,7 @@ function press(dim, h, held, at) {
   }
   const id = ++pressed;
   performance.mark(`press-${id}`, { startTime: at });
-  if (id > MARKS) for (const kind of ["press", "advised", "drawn"]) performance.clearMarks(`${kind}-${id - MARKS}`);
+  if (id > MARKS) for (const kind of ["press", "advised", "drawn", "followed"]) performance.clearMarks(`${kind}-${id - MARKS}`);
   // The first advice starts the task; a press while the person paused is about the step that is shown.
   if (state.paused && state.why !== "you") connection.send("pause", { on: false });
   connection.send("press", { id, dim, h, n: frame?.n ?? 0, at, held });
@@ -127,6 +129,7 @@ function begin(task) {
   const same = lesson.task?.name === task.name;
   const axes = same ? { ...map.axes } : null;
   lesson.begin(task);
+  unfollowed = [];
   document.body.classList.remove("no-task");
   pair = dialogs.pair = 0;
   presses.repeat = task.repeat || 5;
@@ -144,6 +147,8 @@ function begin(task) {
 function frameCame(frame) {
   const fresh = lesson.frame !== null && lesson.frame.episode !== frame.episode;
   lesson.frame = frame;
+  for (const { id, n } of unfollowed) if (frame.n > n) performance.mark(`followed-${id}`);
+  unfollowed = unfollowed.filter(({ n }) => frame.n <= n);
   stage.step(frame, fresh);
   replay.step(frame, fresh);
   painter.need("step", "map now");
@@ -161,6 +166,7 @@ function episodeEnded(ended) {
 /** @param {any} content */
 function advised(content) {
   performance.mark(`advised-${content.id}`);
+  unfollowed.push(content);
   lesson.learned(content);
   notices.advised(content, lesson.task);
   stage.advised(content.id);
