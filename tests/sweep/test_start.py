@@ -140,6 +140,7 @@ def test_a_saved_learner_is_where_every_run_begins(source, tmp_path):
         check_start(spec_of(env="pendulum", algo="coach", seeds=1, start=tmp_path / "saved"))
 
 
+@pytest.mark.slow
 def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
     names = {"env": "drifting:Drift", "algo": "drifting:Linear", "oracle": "drifting:expert"}
