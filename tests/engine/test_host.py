@@ -20,7 +20,7 @@ NARROW = Tier(1, 1, 8)
 
 
 @pytest.mark.parametrize(
-    "algo", [algo if algo == "gpc-ns" else pytest.param(algo, marks=pytest.mark.slow) for algo in ALGORITHMS]
+    "algo", [algo if algo == "coach" else pytest.param(algo, marks=pytest.mark.slow) for algo in ALGORITHMS]
 )
 def test_against_a_plain_loop(algo):
     """With usual, wrong, quiet and busy teachers, GPC through two tiers; and the counters tell what was done."""
@@ -52,6 +52,7 @@ def test_against_a_plain_loop(algo):
     assert pool.counters.promotions >= (4 if algo == "gpc" else 0)
 
 
+@pytest.mark.slow
 def test_active_learning():
     """A chance that follows sigma_h, worked out where the coins allow advice."""
     teacher = oracle(rate=0.02, delta=0.0, error=0.1, active_gain=3.0)
@@ -79,6 +80,7 @@ def test_starts(monkeypatch):
     assert len({lane.rows.returns.tobytes() for lane in lanes.values()}) == 3
 
 
+@pytest.mark.slow
 def test_a_full_dictionary_ends_the_run_with_its_last_step_counted():
     each = start(0, learner("gpc", capacity=3, on_full="error"), oracle(rate=0.8, delta=0.0), 2)
     tier = Tier(3, 8, 8)

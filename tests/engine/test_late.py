@@ -196,6 +196,7 @@ def test_an_unsteady_teacher():
         assert lane.rows.chance_sum.sum() < 0.8 * 0.9 * lane.rows.asked.sum()
 
 
+@pytest.mark.slow
 def test_on_the_host():
     """All of it, where another loop keeps the steps; the learner reckons with one delay."""
     teacher, credit = person(rate=0.9, delay=0.2, **UNSTEADY), Credit.of(0.2, None, None, STEP)

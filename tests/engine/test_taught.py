@@ -14,6 +14,7 @@ TIERS = SMALL, LARGE
 """As there, and as many episodes: the same programs, which XLA has compiled then."""
 
 
+@pytest.mark.slow
 def test_a_run_begins_with_its_state_in_the_tier_that_fits():
     gpc = learner("gpc")
     begun = [start(seed, gpc, oracle(rate=0.5), seed) for seed in range(2)]

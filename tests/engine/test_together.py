@@ -22,6 +22,8 @@ CASES = {
         "max_capacity": 16,
         "on_full": "replace-nearest",
         "delta": 0.0,
+        "episodes": 1,
+        "seeds": 2,
     },
     "gpc-ns": {"env": "cartpole", "algo": "gpc-ns", "error": 0.2},
     "coach": {"env": "cartpole", "algo": "coach", "error": 0.2},

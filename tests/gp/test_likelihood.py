@@ -41,7 +41,10 @@ def used(data, run=0, each=0):
     return data.points[run, each, :count], data.targets[run, each, :count]
 
 
-@pytest.mark.parametrize("smoothness", SMOOTHNESSES)
+@pytest.mark.parametrize(
+    "smoothness",
+    [pytest.param(nu, marks=[pytest.mark.slow] if nu in (1.5, 2.5) else []) for nu in SMOOTHNESSES],
+)
 def test_value_and_slope_are_those_of_scikit_learn(smoothness):
     data = dictionaries()
     data.points[0, 0, 1] = data.points[0, 0, 0]  # a repeat, where a Matern kernel's root has no slope

@@ -37,7 +37,7 @@ def on_host(learner):
     return jax.tree.map(np.asarray, learner)
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 def test_the_same_learner_has_the_same_state_in_other_room(algo):
     learner = learner_of(algo)
     state = taught(learner)
@@ -49,8 +49,14 @@ def test_the_same_learner_has_the_same_state_in_other_room(algo):
         assert_close(got, learner.resize(state, *ROOM), atol=0)
 
 
-@pytest.mark.parametrize("target", ["gpc", "gpc-ns"])
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+@pytest.mark.parametrize(
+    ("algo", "target"),
+    [
+        ("gpc", "gpc-ns"),
+        ("gpc-ns", "gpc"),
+        *(pytest.param(algo, algo, marks=pytest.mark.slow) for algo in ("gpc", "gpc-ns")),
+    ],
+)
 def test_other_hyperparameters_and_relatives_keep_points_and_targets(algo, target):
     """All else is what a dense computation makes of them."""
     learner = learner_of(algo)

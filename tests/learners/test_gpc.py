@@ -427,6 +427,7 @@ def test_uncertainty_is_bounded_by_the_prior(algo):
             assert (learner.uncertainty(state, obs, rng.uniform(-1, 1, 2)) <= learner.largest_sigma()).all()
 
 
+@pytest.mark.slow
 def test_a_fresh_process_without_any_flag_computes_in_float64():
     """And with the threads that the machine gives: no setting of this suite is passed on."""
     script = """

@@ -55,7 +55,7 @@ def test_what_is_saved_goes_on_to_the_bit(tmp_path, algo):
     assert_same_bits(teach(loaded, again, 1, 4), teach(learner, state, 1, 4))
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach", "d-coach"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow), "coach", "d-coach"])
 def test_what_is_packed_has_no_room_to_spare_and_goes_on_to_the_bit(algo):
     """As of a run: on the host, with room for more, and more points of one model and action than of the other."""
     learner = learner_of(algo)

@@ -26,9 +26,9 @@ each_learner = pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
 @pytest.mark.parametrize(
     ("algo", "given"),
     [
-        ("gpc-ns", {"scaling": W}),
+        pytest.param("gpc-ns", {"scaling": W}, marks=pytest.mark.slow),
         ("gpc-ns", {"scaling": W, "human_scaling": PAIR, "human_noise": 0.01}),
-        ("gpc", {"human_scaling": PAIR, "human_noise": 0.01}),
+        pytest.param("gpc", {"human_scaling": PAIR, "human_noise": 0.01}, marks=pytest.mark.slow),
     ],
 )
 def test_parity_with_the_dense_reference(algo, given):

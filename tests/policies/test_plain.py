@@ -150,7 +150,7 @@ print(len(jax.tree.leaves(policy)), len([each for each in sys.meta_path if "poli
 """
 
 
-@pytest.mark.parametrize("first", ["jax.numpy", "equinox"])
+@pytest.mark.parametrize("first", ["jax.numpy", pytest.param("equinox", marks=pytest.mark.slow)])
 def test_a_fresh_process_acts_without_jax_and_finds_it_ready_when_it_comes(first):
     code = FRESH.replace("import jax.numpy as jnp", f"import {first}; import jax.numpy as jnp")
     code = code.format(path=str(shipped_path("cartpole")))

@@ -5,6 +5,7 @@ import shlex
 from pathlib import Path
 
 import matplotlib
+import pytest
 
 from gpcjax import cli
 from gpcjax.study.bots import crowd
@@ -21,6 +22,7 @@ def blocks(title, language):
     return re.findall(rf"```{language}\n(.*?)\n```", section(title), re.DOTALL)
 
 
+@pytest.mark.slow
 def test_from_the_rows_to_the_papers_figure(tmp_path, monkeypatch, capsys):
     made = tmp_path / "made"
     made.mkdir()

@@ -40,7 +40,7 @@ magnitude = 0.3
 dummy = 0
 recorded = 1
 episodes = 4
-minutes = 0.05
+minutes = 0.03
 rest = 0
 
 [consent]
@@ -96,6 +96,7 @@ def served(out, study, places=4):
     assert not thread.is_alive() and told == []
 
 
+@pytest.mark.slow
 def test_from_consent_to_the_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(behaviour, "LEVEL", (0.9, 0.0))
     out, study = study_with(tmp_path, text=TINY)
@@ -124,7 +125,7 @@ def test_all_sorts_of_participants_and_a_server_that_is_killed(tmp_path):
         "dummy = 0", "dummy = 1"
     )
     spec, out = tmp_path / "tiny.toml", tmp_path / "out"
-    spec.write_text(text.replace("minutes = 0.05", "minutes = 0.2"))
+    spec.write_text(text.replace("minutes = 0.03", "minutes = 0.2"))
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

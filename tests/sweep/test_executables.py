@@ -109,6 +109,7 @@ def test_another_source_of_the_same_text_compiles_nothing(folder, monkeypatch):
     assert len(list(folder.glob("*.program"))) == 1
 
 
+@pytest.mark.slow
 def test_what_xla_has_in_its_cache_is_kept_all_the_same(tmp_path):
     """A program from there can be run, but what is written of it cannot: in a process that never compiled it."""
     script = (

@@ -178,6 +178,7 @@ def test_states_that_have_changed_since_are_refused(source, tmp_path):
             contents.packed(state)
 
 
+@pytest.mark.slow
 def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "foreign")
     names = {"env": "drifting:Drift", "algo": "drifting:Linear", "oracle": "drifting:expert"}

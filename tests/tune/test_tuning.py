@@ -60,10 +60,12 @@ def table(folder):
     return pd.read_csv(folder / "tune.csv")
 
 
-def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
-    monkeypatch.undo()
-    monkeypatch.chdir(tmp_path)
-    workers(Landscape())
+@pytest.mark.parametrize("painted", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch, painted):
+    if painted:
+        monkeypatch.undo()
+        monkeypatch.chdir(tmp_path)
+        workers(Landscape())
     assert cli.main([*WORDS, *SEARCH, "--trials", "10"]) == 0
     printed = capsys.readouterr()
     assert "trials 0 to 3 of 10" in printed.err and "trials 8 to 9 of 10, best area so far" in printed.err
@@ -82,7 +84,13 @@ def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch):
         assert (tmp_path / "o" / name).stat().st_size > 0
 
 
-@pytest.mark.parametrize("rungs", [(), ("--rungs", "1x2,1", "--eta", "2")], ids=["all", "halved"])
+@pytest.mark.parametrize(
+    "rungs",
+    [
+        pytest.param((), id="all", marks=pytest.mark.slow),
+        pytest.param(("--rungs", "1x2,1", "--eta", "2"), id="halved"),
+    ],
+)
 def test_stopped_anywhere_it_goes_on_to_the_same(workers, tmp_path, capsys, rungs):
     """No cell runs once more, and the tables, the best and the check are what they are without a stop."""
     words = [*WORDS, *SEARCH, "--trials", "6", *rungs]
