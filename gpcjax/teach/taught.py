@@ -1,4 +1,7 @@
-"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit."""
+"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit.
+
+Over 300 lines: one class, what is taught and all that is written of it.
+"""
 
 import shutil
 import time
@@ -9,7 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
-from gpcjax.engine.session import ROOMS, Session
+from gpcjax.engine.course import ROOMS
+from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT
