@@ -15,8 +15,11 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("compiling", whether)       XLA begins with a program, or has it
     ("note", line)               has something to tell the person
     ("failed", line, text)       its last word: an error in one line, and its full text or ""
+    ("theirs", ...)              its last word: the arguments of a `ForeignError`
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
+
+Over 300 lines: the desk answers each message in one place, and the messages are described here.
 """
 
 import dataclasses
@@ -26,7 +29,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
-from gpcjax.errors import Failure
+from gpcjax.errors import Failure, ForeignError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.estimate import Work
@@ -250,6 +253,8 @@ class Desk:
                 self._on_note(line)
             case ("failed", line, details):
                 raise Failure(f"a worker process failed: {line}", details)
+            case ("theirs", *arguments):
+                raise ForeignError(*arguments)
         return None
 
     def _next_program(self, worker: int) -> Message:
