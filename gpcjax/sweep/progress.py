@@ -1,4 +1,7 @@
-"""What is shown while a sweep runs: a bar in a terminal, a line a minute elsewhere, JSON for programs. Loads no jax."""
+"""What is shown while a sweep runs: a bar in a terminal, a line a minute elsewhere, JSON for programs. Loads no jax.
+
+Over 300 lines: three watchers of one protocol.
+"""
 
 import json
 import sys
