@@ -1,7 +1,4 @@
-"""What is shown while a sweep runs: a bar in a terminal, a line a minute elsewhere, JSON for programs. Loads no jax.
-
-Over 300 lines: three watchers of one protocol.
-"""
+"""What is shown while a sweep runs: a bar in a terminal, a line a minute elsewhere, JSON for programs. Loads no jax."""
 
 import json
 import sys

@@ -2,8 +2,6 @@
 
 Everything that changes what is taught happens in this thread, one thing after the other; what can wait is an errand.
 jax is loaded here, so that the page is there before it.
-
-Over 300 lines: one class, the answers to all that a page may say.
 """
 
 import contextlib

@@ -1,7 +1,4 @@
-"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit.
-
-Over 300 lines: one class, what is taught and all that is written of it.
-"""
+"""One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit."""
 
 import shutil
 import time

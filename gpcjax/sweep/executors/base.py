@@ -18,8 +18,6 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("theirs", ...)              its last word: the arguments of a `ForeignError`
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
-
-Over 300 lines: the desk answers each message in one place, and the messages are described here.
 """
 
 import dataclasses
