@@ -84,14 +84,13 @@ def test_after_kill_9_too(tmp_path, monkeypatch):
 
 def test_advice_that_is_none(tmp_path, workers_in_process):
     """Its runs stop there, with a status of their own; those of one who speaks as teachers do go on."""
-    settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:Loud", "loudness": [1, 2, np.pi]}
+    settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:Loud", "loudness": [1, 2]}
     for name in ("error", "rate"):
         del settings[name]
-    rows = read_episodes(sweep(tmp_path / "out", **settings)).set_index("loudness")
-    assert set(rows.loc[1.0, "status"]) == {"ok"} and (rows.loc[1.0, "corrections"] > 0).all()
-    for loudness in (2.0, np.pi):
-        assert set(rows.loc[[loudness], "status"]) == {"invalid"}
-        assert (rows.loc[[loudness], "corrections"] == 0).all()
+    rows = read_episodes(sweep(tmp_path / "out", **settings | {"seeds": 1}))
+    usual, loud = (rows[rows["loudness"] == loudness] for loudness in (1, 2))
+    assert set(usual["status"]) == {"ok"} and (usual["corrections"] > 0).all()
+    assert set(loud["status"]) == {"invalid"} and (loud["corrections"] == 0).all()
 
 
 def test_names():

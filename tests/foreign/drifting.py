@@ -64,4 +64,4 @@ class Loud(gpcjax.Teacher):
         return coins < 0.5
 
     def advise(self, coins, moment):
-        return self.loudness * jnp.ones_like(coins)
+        return jnp.broadcast_to(self.loudness, coins.shape)
