@@ -41,11 +41,12 @@ class ForeignError(UserError):
         else:
             line = error
         super().__init__(f"{message} ({line})")
-        self._arguments = message, line, details
+        self.arguments = message, line, details
+        """What makes it again, also in another process."""
         self.details = details
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments
+        return type(self), self.arguments
 
 
 def _theirs(error: BaseException) -> str:

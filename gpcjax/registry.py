@@ -171,7 +171,7 @@ class _told:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not isinstance(error, Exception) or isinstance(error, UserError):
+        if not isinstance(error, Exception | SystemExit) or isinstance(error, UserError):
             return
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing is not None and f"{self._module}.".startswith(f"{missing}."):

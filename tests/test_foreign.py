@@ -82,6 +82,17 @@ def test_after_kill_9_too(tmp_path, monkeypatch):
     kill_and_resume(BOTH, sweep(tmp_path / "whole", jobs=1, **BOTH), tmp_path)
 
 
+def test_advice_that_is_none(tmp_path, workers_in_process):
+    """Its runs stop there, with a status of their own; those of one who speaks as teachers do go on."""
+    settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:Loud", "loudness": [1, 2]}
+    for name in ("error", "rate"):
+        del settings[name]
+    rows = read_episodes(sweep(tmp_path / "out", **settings | {"seeds": 1}))
+    usual, loud = (rows[rows["loudness"] == loudness] for loudness in (1, 2))
+    assert set(usual["status"]) == {"ok"} and (usual["corrections"] > 0).all()
+    assert set(loud["status"]) == {"invalid"} and (loud["corrections"] == 0).all()
+
+
 def test_names():
     assert "drift" in registry.names("task") and "linear" in registry.names("learner")
     assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander", "mountaincar")
@@ -142,6 +153,15 @@ def test_refused(settings, message):
         return
     with pytest.raises(UserError, match=message):
         spec_of(**settings)
+
+
+def test_a_module_that_ends_the_program(tmp_path, monkeypatch):
+    (tmp_path / "ending_task.py").write_text("import sys\n\nsys.exit(3)\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(
+        ForeignError, match=r"env ending_task:Task: ending_task cannot be imported .SystemExit: 3"
+    ):
+        spec_of(env="ending_task:Task")
 
 
 def test_what_fails_in_their_module_is_told_as_theirs(tmp_path, monkeypatch):

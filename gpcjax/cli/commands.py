@@ -116,25 +116,14 @@ def _teach() -> Command:
         ),
         Flag("--port", "on this port (default the first from 8765 on that is free)", "PORT", str(PORT)),
     )
-    settings = tuple(map(alone, OF_LEARNERS))
+    own = Flag("--set", "a setting of a learner of one's own", "NAME=VALUE", "NAME=VALUE", repeated=True)
     return Command(
         _TEXTS["teach"],
         (
             ("lesson", lesson),
-            ("hyperparameters of the learners", settings),
+            ("hyperparameters of the learners", tuple(map(alone, OF_LEARNERS))),
             ("how a learner reckons with late advice", tuple(map(alone, OF_CREDIT))),
-            (
-                "",
-                (
-                    Flag(
-                        "--set",
-                        "a setting of a learner of one's own",
-                        "NAME=VALUE",
-                        "NAME=VALUE",
-                        repeated=True,
-                    ),
-                ),
-            ),
+            ("", (own,)),
         ),
     )
 

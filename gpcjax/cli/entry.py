@@ -61,7 +61,7 @@ def _guarded(words: Sequence[str]) -> int:
         sys.stdout.flush()
         return status
     except UserError as error:
-        if isinstance(error, ForeignError):
+        if isinstance(error, ForeignError) and error.details:
             show(error.details)
         return tell(f"error: {error}", MISTAKE)
     except KeyboardInterrupt as stop:

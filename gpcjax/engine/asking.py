@@ -12,7 +12,7 @@ from gpcjax.engine.lanes import Lane, Phase
 from gpcjax.engine.lanewise import each, opaque, put, take
 from gpcjax.engine.stepping import moment_of
 from gpcjax.gp.batching import together
-from gpcjax.learners.base import Learner
+from gpcjax.learners.base import Learner, Status
 from gpcjax.moment import Moment
 from gpcjax.policies.base import Planner
 from gpcjax.teachers.base import Teacher
@@ -42,6 +42,10 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
     moment = dataclasses.replace(moment, target=target, sigma_human=sigma)
     advice = teacher.advise(coins, moment)
     advice = jnp.where(allowed[None], advice, 0.0)
+    if not teacher.is_ours:
+        invalid = ~jnp.isin(advice, jnp.array([-1.0, 0.0, 1.0])).all(0)
+        status = jnp.where(invalid, jnp.int32(Status.INVALID), block.status)
+        block, advice = dataclasses.replace(block, status=status), jnp.where(invalid[None], 0.0, advice)
     if grows:
         corrections = 1 if block.credit is None else block.credit.moments
         room = jax.vmap(lambda learner, state: learner.has_room(state, corrections))(

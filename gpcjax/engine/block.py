@@ -1,4 +1,7 @@
-"""The lanes of one width and capacity, and the programs that put them there, advance them and take them out."""
+"""The lanes of one width and capacity, and the programs that put them there, advance them and take them out.
+
+Over 300 lines: one class, as all that moves lanes must keep the same invariants.
+"""
 
 import dataclasses
 import functools

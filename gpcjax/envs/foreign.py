@@ -173,7 +173,9 @@ def _check(source: str, env: Env) -> None:
     try:
         sizes = env.obs_size, env.action_size, env.max_steps
         if not all(isinstance(size, int) and size >= 1 for size in sizes):
-            raise UserError(f"obs_size, action_size and max_steps must be whole numbers, got {sizes}")
+            raise UserError(
+                f"obs_size, action_size and max_steps must be whole numbers above zero, got {sizes}"
+            )
         action = jax.ShapeDtypeStruct((env.action_size,), float)
         jax.eval_shape(lambda action: stepped(env, started(env, jax.random.key(0)), action), action)
     except UserError as error:

@@ -8,6 +8,8 @@
 | papers   | has policies and rows written, by a process of its own                                    |
 | door     | prepares who comes                                                                        |
 
+Over 300 lines: one class, as what these threads share has to be seen together.
+
 A run that is being corrected misses no step: it is caught up with as soon as that is over. Others do not wait for it.
 """
 
@@ -24,11 +26,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from gpcjax.engine.classroom import kind_of
-from gpcjax.engine.session import credit_of, propose_together
+from gpcjax.engine.course import credit_of
+from gpcjax.engine.seated import propose_together
 from gpcjax.errors import UserError
 from gpcjax.gp.threads import one_thread
 from gpcjax.study.kind import Kind
-from gpcjax.study.seat import Run, Say, Seat, Standing
+from gpcjax.study.seat import Seat
+from gpcjax.study.standing import Run, Say, Standing
 from gpcjax.sweep.lock import held
 from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import Course

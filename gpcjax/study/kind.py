@@ -4,12 +4,13 @@ import math
 from typing import Any
 
 from gpcjax.engine.classroom import ROOMS, Classroom, Rooms
-from gpcjax.engine.session import credit_of, in_classroom, leave
+from gpcjax.engine.course import credit_of
+from gpcjax.engine.seated import in_classroom, leave
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner
 from gpcjax.registry import find
-from gpcjax.study.seat import Run
+from gpcjax.study.standing import Run
 from gpcjax.teach.beginning import beginning
 from gpcjax.teach.course import COURSE, RECORD, Course, seconds_of
 from gpcjax.teach.tally import Tally

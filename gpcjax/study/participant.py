@@ -10,13 +10,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ParamSpec
 
 from gpcjax.errors import UserError
 from gpcjax.study.design import base_seed
+from gpcjax.study.kept import ACTIVE, COMPLETE, ENDED, Kept
 from gpcjax.study.questions import answers_of
 from gpcjax.study.spec import Study, is_code
 from gpcjax.study.steps import RunStep, Step, letters_of, steps_of
@@ -27,43 +28,6 @@ SEAL_TRIES, SEAL_APART = 50, 0.1
 """How often a participant's files are looked through where one of them vanishes meanwhile; seconds between."""
 
 CARD, LOG, RUNS, TRIALS = "participant.json", "log.jsonl", "runs", "trials"
-
-ACTIVE, COMPLETE = "active", "complete"
-ENDED = {
-    COMPLETE: "all steps are done",
-    "declined": "left the study",
-    "failed": "did not pass the check or the trial",
-    "stopped": "was stopped by the experimenter",
-    "expired": "did not come back in time",
-}
-"""The states in which a participant does nothing any more. Only a complete one keeps the slot."""
-
-
-@dataclass
-class Kept:
-    """What participant.json says, beside what follows from the study."""
-
-    number: int
-    code: str
-    slot: int
-    state: str = ACTIVE
-    why: str = ""
-    """Of the end, in words."""
-    step: int = 0
-    """Index of the present step."""
-    begun: str = ""
-    seen: str = ""
-    """When he or she last did anything."""
-    ended: str = ""
-    times: list[dict[str, str]] = field(default_factory=list)
-    """Of each step so far its `step`, `began`, `ended`."""
-    checks: list[dict[str, Any]] = field(default_factory=list)
-    """What was measured of screen and connection, each time."""
-    trials: list[bool] = field(default_factory=list)
-    """Whether each attempt at the trial was passed."""
-    answers: list[dict[str, Any]] = field(default_factory=list)
-    """Each with `question`, `run` (or null), `letter`, `task`, `value`, `at`."""
-
 
 P = ParamSpec("P")
 

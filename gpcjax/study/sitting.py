@@ -2,6 +2,8 @@
 
 What changes a participant is written by one clerk's thread before anything of it is shown. A seat blocks nobody: what
 it says comes when it is ready.
+
+Over 300 lines: one class, the answers to all that a page, a seat and the experimenter may say.
 """
 
 import asyncio

@@ -29,6 +29,7 @@ from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
 from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
@@ -120,12 +121,19 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     What it compiles it looks for in `programs`, where that is kept.
     """
     program = program_of(cell)
+    template = start_of(dataclasses.replace(cell, start=None))
+    if cell.algo not in built_in("learner"):
+        rehearse_learner(cell.algo, template.learner)
+    if not template.teacher.is_ours:
+        rehearse_teacher(
+            cell.teacher, template.teacher, template.learner.obs_size, template.learner.action_size
+        )
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
         env=make_env(program.env),
         expert=make_expert(program.env, program.oracle),
         episodes=program.episodes,
-        template=start_of(dataclasses.replace(cell, start=None)),
+        template=template,
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
         kept=programs,

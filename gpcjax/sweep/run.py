@@ -1,4 +1,7 @@
-"""One sweep from its specification to a complete store. The parent process loads no jax."""
+"""One sweep from its specification to a complete store. The parent process loads no jax.
+
+Over 300 lines: a third of them make and mend the manifest, which belongs to the order in which a sweep begins.
+"""
 
 import threading
 import time

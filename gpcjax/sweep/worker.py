@@ -20,7 +20,7 @@ from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.engine.pace import Pace
 from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.sweep.build import make_pool
 from gpcjax.sweep.environment import programs_folder, refuse_another_environment
 from gpcjax.sweep.executables import Executables
@@ -48,7 +48,7 @@ def work(say: Say) -> bool:
     except Exception as error:
         if error is worker.unheard:
             raise
-        say(("failed", *told(error)))
+        say(("theirs", *error.arguments) if isinstance(error, ForeignError) else ("failed", *told(error)))
         return False
     return True
 

@@ -13,7 +13,8 @@ import jax
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
-from gpcjax.engine.session import ROOMS, Session
+from gpcjax.engine.course import ROOMS
+from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpcjax.engine import streams
-from gpcjax.engine.bench import Ahead
+from gpcjax.engine.ahead import Ahead
 from gpcjax.engine.classroom import lanes_for
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.envs.host import HostEnv

@@ -40,6 +40,11 @@ class Teacher(eqx.Module):
         """Whether it needs `Moment.draws`. Static."""
         return self.watches or self.reach > 0
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether its advice is gpcjax's own, so known to be -1, 0 or 1; another's is looked at. Static."""
+        return type(self).advise.__module__.startswith("gpcjax.")
+
     def init(self) -> Memory:
         """What it remembers before the first step of a run: a pytree of arrays, of one lane."""
         return ()

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from gpcjax.engine.classroom import Classroom, kind_of, lanes_for, rooms_of
-from gpcjax.engine.session import Session, credit_of, in_classroom, leave, propose_together
+from gpcjax.engine.course import credit_of
+from gpcjax.engine.seated import in_classroom, leave, propose_together
+from gpcjax.engine.session import Session
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.recording import Deferred, Recording
@@ -83,7 +85,7 @@ def school(tmp_path_factory):
 
 
 def test_each_is_made_again_to_the_bit(school):
-    assert {session._desk.bench.tier.human_capacity for session in school.sessions} == {32}
+    assert {session._course.desk.bench.tier.human_capacity for session in school.sessions} == {32}
     for seed in (0, 7):
         assert_the_same(school.again(seed), school.sessions[seed])
     assert {bench.tier.lanes for benches in school.classroom._benches for bench in benches} == {16}

@@ -55,5 +55,13 @@ class Drawing(Linear):
         return {"weights": super().init(), "key": jax.random.key(0)}
 
 
-class Shy(gpcjax.Oracle):
-    """The oracle, silent in the first steps of an episode."""
+class Loud(gpcjax.Teacher):
+    """Says more than "more"."""
+
+    loudness: jax.Array = eqx.field(default=2.0, converter=gpcjax.parameter)
+
+    def may_advise(self, coins, largest_sigma, step):
+        return coins < 0.5
+
+    def advise(self, coins, moment):
+        return jnp.broadcast_to(self.loudness, coins.shape)

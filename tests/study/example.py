@@ -57,10 +57,17 @@ link = "https://example.org/back?who={code}"
 """
 
 
+def written(changes, text=TOML):
+    """The text with each of these replaced, once."""
+    for old, new in changes.items():
+        assert old in text, old
+        text = text.replace(old, new, 1)
+    return text
+
+
 def study_with(folder, old="", new="", text=TOML):
     """The folder of a study, and the study, with one text replaced in its file."""
-    assert old in text
     spec = folder / "study_small.toml"
-    spec.write_text(text.replace(old, new, 1) if old else text)
+    spec.write_text(written({old: new} if old else {}, text))
     out = folder / "out"
     return out, open_folder(out, spec)

@@ -12,48 +12,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.study.example import study_with
+from tests.study.example import study_with, written
 from tests.study.test_server import Running
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
 
 GPCJAX = Path(__file__).parents[2]
-TOML = """
-title = "Balancing"
-participants = 2
-tasks = ["cartpole"]
-[[learners]]
-algo = "gpc"
-[runs]
-dummy = 1
-recorded = 1
-episodes = 2
-rest = 0
-[consent]
-text = "You may leave at any time."
-[check]
-width = 300
-frame_rate = 1
-[instructions]
-text = "Press a key."
-[trial]
-task = "cartpole"
-presses = 1
-attempts = 9
-[[questions]]
-name = "easy"
-when = "learner"
-kind = "scale"
-text = "How easy was it?"
-[[questions]]
-name = "remarks"
-kind = "text"
-text = "Anything else?"
-[completed]
-text = "All is saved."
-code = "C0FFEE"
-"""
+BALANCING = {
+    'title = "Small"': 'title = "Balancing"',
+    "participants = 4": "participants = 2",
+    '"pendulum", "cartpole"': '"cartpole"',
+    "round_trip = 500": "frame_rate = 1",
+    "attempts = 2": "attempts = 9",
+    '[[learners]]\nalgo = "coach"\n': "",
+    "Done.": "All is saved.",
+    'link = "https://example.org/back?who={code}"': "",
+}
 
 
 class Server:
@@ -164,7 +139,7 @@ def test_every_page(browser, tmp_path):
 @pytest.mark.parametrize("killed", [False, True])
 def test_from_the_link_to_the_code(browser, tmp_path, killed):
     spec, out = tmp_path / "study.toml", tmp_path / "out"
-    spec.write_text(TOML)
+    spec.write_text(written(BALANCING))
     server, said, complaints = Server(out, spec), [], []
     try:
         page = browser.new_page(viewport={"width": 375, "height": 740})

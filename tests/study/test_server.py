@@ -1,10 +1,8 @@
 """A study's server with a hall that only listens: from consent to the code, and who sees what."""
 
 import contextlib
-import http.client
 import io
 import json
-import threading
 import time
 import zipfile
 
@@ -17,47 +15,27 @@ from gpcjax.study import reception, sitting
 from gpcjax.study.register import Register
 from gpcjax.study.server import PAGE, Serving, host_of, token_of
 from gpcjax.teach.door import HEADERS
+from tests.serving import LONG, InThread
 from tests.study.example import study_with
 from tests.study.halls import FakeHall
 
-LONG = 20.0
 
-
-class Running:
-    """A server in a thread; `client` makes pages."""
+class Running(InThread):
+    """A server of a study; `client` makes pages."""
 
     def __init__(self, out, study, places=64, host="127.0.0.1", address=None):
         self.hall, self.out, self._pages = FakeHall(places), out, contextlib.ExitStack()
         self.register = Register(out, study)
-        self.serving = Serving(self.register, self.hall, places, host, 0, address)
-        self.port = self.serving.socket.getsockname()[1]
-        self.origin = f"http://127.0.0.1:{self.port}"
-        self.raised = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self):
-        try:
-            self.serving.run()
-        except BaseException as error:
-            self.raised = error
+        serving = Serving(self.register, self.hall, places, host, 0, address)
+        super().__init__(serving, serving.server, serving.socket.getsockname()[1])
 
     def end(self):
         self._pages.close()
-        self.serving.server.should_exit = True
-        self._thread.join(LONG)
-        assert not self._thread.is_alive() and self.raised is None
-
-    def asks(self, path, method="GET", **headers):
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=LONG)
-        with contextlib.closing(connection):
-            connection.request(method, path, headers=headers)
-            answer = connection.getresponse()
-            return answer.status, {name.lower(): text for name, text in answer.getheaders()}, answer.read()
+        super().end()
+        assert self.raised is None
 
     def opens(self, path="/part", **options):
-        options = {"origin": self.origin, "open_timeout": LONG} | options
-        return connect(f"ws://127.0.0.1:{self.port}{path}", compression=None, proxy=None, **options)
+        return self.socket(path, **options)
 
     def looks(self):
         """The experimenter's page."""

@@ -1,7 +1,6 @@
 """The server with a lesson that only listens: who comes in, what is served, one teacher at a time, a slow reader."""
 
 import contextlib
-import http.client
 import json
 import logging
 import queue
@@ -11,14 +10,12 @@ import time
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from gpcjax.errors import UserError
 from gpcjax.teach import pages, room
 from gpcjax.teach.door import HEADERS
 from gpcjax.teach.server import PAGE, Serving, bound, configuration, is_local
-
-LONG = 20.0
+from tests.serving import LONG, InThread
 
 
 class Listener:
@@ -50,44 +47,16 @@ class Listener:
         return command
 
 
-class Running:
-    """A server in a thread."""
+class Running(InThread):
+    """A server of a lesson."""
 
     def __init__(self, host="127.0.0.1"):
-        self.serving = Serving(Listener, host, 0)
-        self.lesson = self.serving.lesson
-        self.port = self.serving._socket.getsockname()[1]
-        self.raised = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self):
-        try:
-            self.serving.run()
-        except Exception as error:
-            self.raised = error
-
-    def ended(self):
-        self._thread.join(LONG)
-        assert not self._thread.is_alive()
-
-    def end(self):
-        self.serving._server.should_exit = True
-        self.ended()
-
-    def asks(self, path, method="GET", **headers):
-        """Status, headers and content of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=LONG)
-        with contextlib.closing(connection):
-            connection.request(
-                method, path, headers={name.replace("_", "-"): text for name, text in headers.items()}
-            )
-            answer = connection.getresponse()
-            return answer.status, {name.lower(): text for name, text in answer.getheaders()}, answer.read()
+        serving = Serving(Listener, host, 0)
+        self.lesson = serving.lesson
+        super().__init__(serving, serving._server, serving._socket.getsockname()[1])
 
     def page(self, **options):
-        options = {"origin": f"http://127.0.0.1:{self.port}", "open_timeout": LONG} | options
-        return connect(f"ws://127.0.0.1:{self.port}/lesson", compression=None, proxy=None, **options)
+        return self.socket("/lesson", **options)
 
 
 @pytest.fixture(scope="module")

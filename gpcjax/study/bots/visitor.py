@@ -1,4 +1,7 @@
-"""One scripted participant, from the page to the end: what a browser would load, hear and say. Loads no jax."""
+"""One scripted participant, from the page to the end: what a browser would load, hear and say. Loads no jax.
+
+Over 300 lines: one class, the answers to all that a server may say.
+"""
 
 import asyncio
 import contextlib

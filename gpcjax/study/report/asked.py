@@ -10,7 +10,8 @@ import numpy as np
 from gpcjax.report.compare_numbers import better_paired
 from gpcjax.report.statistics import Interval, Scores, mean_interval, paired_difference, student_p
 from gpcjax.study.design import Treatment
-from gpcjax.study.participant import ACTIVE, COMPLETE, Participant
+from gpcjax.study.kept import ACTIVE, COMPLETE
+from gpcjax.study.participant import Participant
 from gpcjax.study.questions import Question
 from gpcjax.study.report.held import Held
 from gpcjax.study.report.numbers import Difference, corrected

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD
-from gpcjax.study.participant import ACTIVE, COMPLETE, LOG, Participant
+from gpcjax.study.kept import ACTIVE, COMPLETE
+from gpcjax.study.participant import LOG, Participant
 from gpcjax.study.register import read_folder, read_people
 from gpcjax.study.spec import Study
 from gpcjax.study.steps import RunStep

@@ -18,7 +18,7 @@ from gpcjax.report.document import (
 )
 from gpcjax.report.statistics import RESAMPLES
 from gpcjax.study.design import Treatment
-from gpcjax.study.participant import ACTIVE, COMPLETE
+from gpcjax.study.kept import ACTIVE, COMPLETE
 from gpcjax.study.report.asked import Asked, Key
 from gpcjax.study.report.held import Held
 from gpcjax.study.report.naming import learners_of, names_of

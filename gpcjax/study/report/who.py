@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from gpcjax.report.document import Block, Folded, Kind, Sheet
-from gpcjax.study.participant import ACTIVE, COMPLETE, ENDED
+from gpcjax.study.kept import ACTIVE, COMPLETE, ENDED
 from gpcjax.study.report.held import Held
 
 MOST_LINES = 200

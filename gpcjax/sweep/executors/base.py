@@ -15,6 +15,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("compiling", whether)       XLA begins with a program, or has it
     ("note", line)               has something to tell the person
     ("failed", line, text)       its last word: an error in one line, and its full text or ""
+    ("theirs", ...)              its last word: the arguments of a `ForeignError`
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
 """
@@ -27,7 +28,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from gpcjax.engine.pace import Pace
-from gpcjax.errors import Failure
+from gpcjax.errors import Failure, ForeignError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
@@ -283,6 +284,8 @@ class Desk:
                 self._on_note(line)
             case ("failed", line, details):
                 raise Failure(f"a worker process failed: {line}", details)
+            case ("theirs", *arguments):
+                raise ForeignError(*arguments)
         return None
 
     def _next_program(self, worker: int) -> Message:

@@ -1,0 +1,138 @@
+"""A learner or a teacher of a person's own is traced once, by itself, before a program is made of it.
+
+What it gets wrong is told in its own words then, and not in those of a program of many lanes.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gpcjax.errors import ForeignError, UserError
+from gpcjax.learners.base import Info, Learner
+from gpcjax.moment import Moment
+from gpcjax.teachers.base import Teacher
+
+T = TypeVar("T")
+
+
+def rehearse_learner(name: str, learner: Learner) -> None:
+    """Traces what a learner does in a sweep.
+
+    Raises:
+        ForeignError: one of its methods fails, or gives something of another shape or type than it should.
+        UserError: a method of ours that it calls refuses what it is given.
+    """
+    source = f"algo {name}: {type(learner).__name__}"
+    here = _moment(learner.obs_size, learner.action_size)
+    state = _traced(f"{source}.init", lambda: learner.init(_key()))
+    if any(_form(leaf) is None for leaf in jax.tree.leaves(state)):
+        raise _does_not_fit(f"{source}.init", f"the state is {_shown(state)}, it should be made of arrays")
+    action = _traced(f"{source}.propose", lambda state, obs: learner.controller(state)(obs), state, here.obs)
+    _check(f"{source}.propose", "an action", action, here.action)
+    if learner.joint:
+        learn = lambda state, moment, advice: learner.learn(state, moment, advice, _key())  # noqa: E731
+        given = _traced(f"{source}.learn", learn, state, here, here.action)
+        if not isinstance(given, tuple) or len(given) != 2 or not isinstance(given[1], Info):
+            raise _does_not_fit(
+                f"{source}.learn", f"it gives {_shown(given)}, it should give the new state and a gpcjax.Info"
+            )
+        _check(f"{source}.learn", "the new state", given[0], state)
+        _check(f"{source}.learn", "Info.rate", given[1].rate, here.action)
+    if learner.idle_every:
+        after = _traced(f"{source}.idle", lambda state: learner.idle(state, _key()), state)
+        _check(f"{source}.idle", "the new state", after, state)
+    measured = _traced(f"{source}.measure", learner.measure, state)
+    if not isinstance(measured, Mapping) or any(
+        _form(each) is None or each.shape for each in measured.values()
+    ):
+        raise _does_not_fit(
+            f"{source}.measure", f"it gives {_shown(measured)}, it should give a number for each name"
+        )
+
+
+def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: int) -> None:
+    """Traces what a teacher does in a sweep of a task of these sizes. Raises as `rehearse_learner`."""
+    source, number = f"teacher {name}: {type(teacher).__name__}", jax.ShapeDtypeStruct((), jnp.int32)
+    here = _moment(obs_size, action_size, asked=True)
+    sigma = jax.ShapeDtypeStruct((), jnp.float64)
+    memory = _traced(f"{source}.init", teacher.init)
+    watched = _traced(f"{source}.watch", teacher.watch, memory, here)
+    _check(f"{source}.watch", "the memory", watched, memory, exactly=True)
+
+    def may(coins: Any, sigma: Any, episode: Any, step: Any) -> Any:
+        return teacher.during(episode).may_advise(coins, sigma, step)
+
+    def advise(coins: Any, memory: Any, moment: Moment) -> Any:
+        return teacher.during(moment.episode).recalling(memory).advise(coins, moment)
+
+    allowed = _traced(f"{source}.may_advise", may, here.action, sigma, number, number)
+    if _form(allowed) != (here.action.shape, jnp.dtype(bool)):
+        wanted = f"a truth value for each action dimension, bool of shape {here.action.shape}"
+        raise _does_not_fit(f"{source}.may_advise", f"it gives {_shown(allowed)}, it should give {wanted}")
+    advice = _traced(f"{source}.advise", advise, here.action, memory, here)
+    if getattr(advice, "shape", None) != here.action.shape:
+        wanted = f"-1, 0 or 1 for each action dimension, an array of shape {here.action.shape}"
+        raise _does_not_fit(f"{source}.advise", f"it gives {_shown(advice)}, it should give {wanted}")
+
+
+def _traced(source: str, function: Callable[..., T], *arguments: Any) -> T:
+    try:
+        return eqx.filter_eval_shape(function, *arguments)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from None
+    except Exception as error:
+        raise ForeignError(f"{source} fails", error) from None
+
+
+def _does_not_fit(source: str, why: str) -> ForeignError:
+    return ForeignError(f"{source} does not fit", why)
+
+
+def _key() -> Any:
+    return jax.random.key(0)
+
+
+def _moment(obs_size: int, action_size: int, asked: bool = False) -> Any:
+    """The shapes of a step of one lane."""
+
+    def made() -> Moment:
+        number, action = jnp.zeros((), jnp.int32), jnp.zeros(action_size)
+        further = (action, action, jnp.zeros(3)) if asked else ()
+        return Moment(jnp.zeros(obs_size), action, number, number, *further)
+
+    return jax.eval_shape(made)
+
+
+def _check(source: str, what: str, given: Any, expected: Any, exactly: bool = False) -> None:
+    """Raises ForeignError: it has another structure or shape, or another type that is not the same with more digits."""
+    same = jax.tree.structure(given) == jax.tree.structure(expected)
+    if not same or not all(
+        _form(one) == _form(other) or (not exactly and _becomes(one, other))
+        for one, other in zip(jax.tree.leaves(given), jax.tree.leaves(expected), strict=True)
+    ):
+        raise _does_not_fit(source, f"{what} is {_shown(given)}, it should be {_shown(expected)}")
+
+
+def _becomes(one: Any, other: Any) -> bool:
+    """Whether an array is one of the other's type by what jax does with two types."""
+    alike = _form(one) is not None and _form(other) is not None and one.shape == other.shape
+    plain = alike and all(jnp.issubdtype(each.dtype, jnp.number) for each in (one, other))
+    return plain and jnp.promote_types(one.dtype, other.dtype) == other.dtype
+
+
+def _form(value: Any) -> tuple[Any, Any] | None:
+    shape, kind = getattr(value, "shape", None), getattr(value, "dtype", None)
+    return None if shape is None or kind is None else (shape, kind)
+
+
+def _shown(given: Any) -> str:
+    if (form := _form(given)) is not None:
+        return f"{form[1]} of shape {form[0]}"
+    if isinstance(given, tuple | list):
+        return f"({', '.join(map(_shown, given[:4]))}{', ...' if len(given) > 4 else ''})"
+    if isinstance(given, Mapping):
+        return f"{{{', '.join(f'{name!r}: {_shown(given[name])}' for name in [*given][:4])}}}"
+    return "None" if given is None else f"a {type(given).__name__}"

@@ -1,0 +1,144 @@
+"""What a learner or a teacher of a person's own gets wrong is told before a program is made, in its own words."""
+
+import threading
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gpcjax
+from gpcjax.errors import ForeignError
+from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
+from gpcjax.sweep.worker import work
+from tests.foreign.drifting import Linear, Loud
+
+ARRAY = r"float64 of shape \(1, 2\)"
+
+
+class Raises(Linear):
+    def learn(self, state, moment, advice, key):
+        raise RuntimeError("no learning today")
+
+
+class Flat(Linear):
+    def learn(self, state, moment, advice, key):
+        return state[0], gpcjax.Info.of(rate=jnp.zeros(1))
+
+
+class Short(Linear):
+    """Of fewer digits, which is as good."""
+
+    def learn(self, state, moment, advice, key):
+        return state.astype(jnp.float32), gpcjax.Info.of(rate=jnp.zeros(1))
+
+
+class Bare(Linear):
+    def learn(self, state, moment, advice, key):
+        return state
+
+
+class Wide(Linear):
+    def propose(self, state, obs):
+        return jnp.zeros(4)
+
+
+class Locked(Linear):
+    def init(self, key=None):
+        return threading.Lock()
+
+
+class Measuring(Linear):
+    def measure(self, state):
+        return {"weights": state}
+
+
+@pytest.mark.parametrize(
+    ("learner", "message"),
+    [
+        (Raises, r"Raises.learn fails \(RuntimeError: no learning today\)"),
+        (Flat, rf"Flat.learn .* the new state is float64 of shape \(2,\), it should be {ARRAY}\)"),
+        (Bare, rf"Bare.learn .* it gives {ARRAY}, it should give the new state and a gpcjax.Info\)"),
+        (
+            Wide,
+            r"Wide.propose .* an action is float64 of shape \(4,\), it should be float64 of shape \(1,\)\)",
+        ),
+        (Locked, r"Locked.init .* the state is a lock, it should be made of arrays\)"),
+        (Measuring, rf"Measuring.measure .* it gives {{'weights': {ARRAY}}}, it should give a number"),
+    ],
+)
+def test_learners(learner, message):
+    with pytest.raises(
+        ForeignError, match=f"^algo mine:it: {message}".replace(" .* ", r" does not fit \(")
+    ) as told:
+        rehearse_learner("mine:it", learner(obs_size=2, action_size=1))
+    assert ("RuntimeError: no learning today" in told.value.details) == (learner is Raises)
+
+
+class Tired(Loud):
+    def advise(self, coins, moment):
+        raise ZeroDivisionError("tired")
+
+
+class Mute(Loud):
+    def advise(self, coins, moment):
+        pass
+
+
+class Unsure(Loud):
+    def may_advise(self, coins, largest_sigma, step):
+        return coins
+
+
+class Forgetful(Loud):
+    def init(self):
+        return jnp.zeros(3)
+
+    def watch(self, memory, moment):
+        return memory[0]
+
+
+@pytest.mark.parametrize(
+    ("teacher", "message"),
+    [
+        (Tired, r"Tired.advise fails \(ZeroDivisionError: tired\)"),
+        (Mute, "Mute.advise .* it gives None, it should give -1, 0 or 1 for each action dimension"),
+        (Unsure, r"Unsure.may_advise .* it gives float64 of shape \(1,\), it should give a truth value"),
+        (
+            Forgetful,
+            r"Forgetful.watch .* the memory is float64 of shape \(\), it should be float64 of shape \(3,\)",
+        ),
+    ],
+)
+def test_teachers(teacher, message):
+    with pytest.raises(
+        ForeignError, match=f"^teacher mine:it: {message}".replace(" .* ", r" does not fit \(")
+    ):
+        rehearse_teacher("mine:it", teacher(), 2, 1)
+
+
+def test_what_is_right():
+    for learner in (Linear, Short):
+        rehearse_learner("mine:it", learner(obs_size=2, action_size=1))
+    rehearse_teacher("mine:it", Loud(), 2, 1)
+
+
+def test_a_worker_says_whose_it_is(monkeypatch):
+    """And the desk raises it again."""
+    error = ForeignError("algo mine:it: It.learn fails", ValueError("its own"))
+    monkeypatch.setattr("gpcjax.sweep.worker.refuse_another_environment", lambda: None)
+    said = []
+
+    def say(message):
+        said.append(message)
+        if message[0] != "theirs":
+            raise AssertionError(message)
+
+    def fails(self):
+        raise error
+
+    monkeypatch.setattr("gpcjax.sweep.worker._Worker.run", fails)
+    assert not work(say)
+    ((kind, *arguments),) = said
+    again = ForeignError(*arguments)
+    assert kind == "theirs" and str(again) == str(error) and again.details == error.details
+    assert np.all([isinstance(each, str) for each in arguments])
