@@ -46,12 +46,13 @@ def at_files(pattern: str, count: int) -> None:
 
 def at_compilations(of_worker: bool, count: int) -> None:
     """Kills this process, or one of its workers, when it hears of the count-th compilation."""
-    from gpcjax.sweep.executors import base
+    from gpcjax.sweep.executors.base import Message
+    from gpcjax.sweep.executors.desk import Desk
     from tests.sweep.processes import workers_of
 
-    left, answer = count, base.Desk.answer
+    left, answer = count, Desk.answer
 
-    def hear(desk: base.Desk, worker: int, message: base.Message) -> base.Message | None:
+    def hear(desk: Desk, worker: int, message: Message) -> Message | None:
         nonlocal left
         if message == ("compiling", True):
             left -= 1
@@ -60,7 +61,7 @@ def at_compilations(of_worker: bool, count: int) -> None:
                 os.kill(workers[0], signal.SIGKILL)
         return answer(desk, worker, message)
 
-    base.Desk.answer = hear
+    Desk.answer = hear
 
 
 def main() -> int:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
 
-from gpcjax.sweep.estimate import Work, seconds_left
+from gpcjax.sweep.estimate import seconds_left
 from gpcjax.sweep.telling import State
+from gpcjax.sweep.works import Work
 
 
 @dataclass

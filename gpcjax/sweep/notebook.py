@@ -10,9 +10,9 @@ from typing import Any
 
 from rich.console import Console
 
-from gpcjax.sweep.estimate import Work
 from gpcjax.sweep.progress import Bar
 from gpcjax.sweep.telling import State, Told, Watcher
+from gpcjax.sweep.works import Work
 
 APART = 0.5
 """Seconds between two pictures at least: each goes to the browser."""

@@ -11,8 +11,8 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gpcjax.sweep.estimate import Work
 from gpcjax.sweep.telling import State, Told
+from gpcjax.sweep.works import Work
 
 LINE_SECONDS = 60.0
 """Between two lines of a log file."""

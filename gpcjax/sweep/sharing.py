@@ -5,9 +5,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
 from gpcjax.registry import find
-from gpcjax.sweep.estimate import least_to_join, works_of
+from gpcjax.sweep.estimate import least_to_join
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.works import works_of
 
 Before = Callable[[Iterable[Program]], Mapping[Program, Cost]]
 """Tells what programs took when they ran here the last time, of those that are known."""

@@ -8,9 +8,10 @@ from typing import Any, Protocol
 
 from rich.console import RenderableType
 
-from gpcjax.sweep.estimate import Work, is_seen, seconds_left
+from gpcjax.sweep.estimate import seconds_left
 from gpcjax.sweep.growing import table
 from gpcjax.sweep.sofar import SoFar
+from gpcjax.sweep.works import Work, is_seen
 
 
 @dataclass

@@ -1,8 +1,9 @@
 """The real-time loop of a lesson: a clock, and what the page asks for. Runs in a thread of its own.
 
 Everything that changes what is taught happens in this thread, one thing after the other; what can wait is an errand.
-jax is loaded here, so that the page is there before it. Of more than 300 lines, as each command of the page is obeyed
-here, between steps.
+jax is loaded here, so that the page is there before it.
+
+Over 300 lines: each command of the page is obeyed here, between steps.
 """
 
 import contextlib

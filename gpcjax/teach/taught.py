@@ -1,6 +1,6 @@
 """One path from a key to a row: a session on a task, recorded as it happens, and replayed to the bit.
 
-Of more than 300 lines, as what happens live and what is made again count alike: they are read beside each other.
+Over 300 lines: what happens live and what is made again count alike, and are read beside each other.
 """
 
 import shutil

@@ -267,9 +267,8 @@ def _refuse_another(wishes: Wishes) -> None:
 
 def grid_spec(wishes: Wishes) -> SweepSpec:
     """All points of a grid."""
-    return dataclasses.replace(
-        wishes.base, hyperparameters={**wishes.base.hyperparameters, **space.grid_of(wishes.space)}
-    )
+    points = {**wishes.base.hyperparameters, **space.grid_of(wishes.space)}
+    return dataclasses.replace(wishes.base, hyperparameters=points)
 
 
 def _refuse_common(seeds: Seeds, check: Given) -> None:

@@ -14,7 +14,7 @@ from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, experience
 from gpcjax.sweep.crowd import Crowd, waiting
-from gpcjax.sweep.estimate import Work, overdue, seconds_left, works_of
+from gpcjax.sweep.estimate import overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import SLOWER, Paces
@@ -22,6 +22,7 @@ from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.telling import State
+from gpcjax.sweep.works import Work, works_of
 
 TICK = 0.25
 

@@ -1,10 +1,11 @@
-"""How the workers of a sweep are run: what is common (`base`), in processes, in this process, on the machines of a Ray.
+"""How the workers of a sweep run: in processes, in this one, on the machines of a Ray; `base` and `desk` are common.
 
 Loads no jax, and no Ray.
 """
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.executors.base import Desk, Executor, Orders, Totals
+from gpcjax.sweep.executors.base import Executor, Orders, Totals
+from gpcjax.sweep.executors.desk import Desk
 from gpcjax.sweep.executors.inprocess import InProcess
 from gpcjax.sweep.executors.processes import Processes
 from gpcjax.sweep.executors.ray import Ray

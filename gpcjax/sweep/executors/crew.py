@@ -16,7 +16,8 @@ from typing import Any
 from gpcjax.errors import Failure, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.checkpoints import Place, receive
-from gpcjax.sweep.executors.base import ASKS, Desk, Message, Orders
+from gpcjax.sweep.executors.base import ASKS, Message, Orders
+from gpcjax.sweep.executors.desk import Desk
 from gpcjax.sweep.executors.remote import Place as Machine
 from gpcjax.sweep.executors.remote import Remote, place
 from gpcjax.sweep.machine import kind_of

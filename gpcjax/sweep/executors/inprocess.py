@@ -1,7 +1,7 @@
 """A sweep in this very process: for notebooks, debuggers and tests, where no worker is to be started. Loads no jax."""
 
 from gpcjax.sweep.environment import refuse_another_environment
-from gpcjax.sweep.executors.base import Desk
+from gpcjax.sweep.executors.desk import Desk
 
 
 class InProcess:

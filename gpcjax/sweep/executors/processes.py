@@ -13,7 +13,8 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import forget_programs, script, worker_environment
 from gpcjax.sweep.executors import served
-from gpcjax.sweep.executors.base import ASKS, Desk
+from gpcjax.sweep.executors.base import ASKS
+from gpcjax.sweep.executors.desk import Desk
 from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
 
 MACHINE_CODE = tuple(

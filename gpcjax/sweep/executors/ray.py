@@ -18,8 +18,8 @@ from typing import Any
 
 from gpcjax.errors import Failure, UserError
 from gpcjax.sweep import stopping
-from gpcjax.sweep.executors.base import Desk
 from gpcjax.sweep.executors.crew import Crew
+from gpcjax.sweep.executors.desk import Desk
 
 START_TRIES = 3
 """Of a Ray of our own: on a machine that is busy with other things its start takes long."""

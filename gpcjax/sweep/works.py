@@ -1,0 +1,131 @@
+"""What has been done for each program of a sweep, and what is still to do. Loads no jax."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gpcjax.sweep import costs
+from gpcjax.sweep.experience import LEAST_DONE, Cost
+from gpcjax.sweep.paces import Paces
+from gpcjax.sweep.plan import Program
+
+
+@dataclass
+class Work:
+    """The cells of one program: what has been done for them, by all workers, and what is still to do."""
+
+    env: str
+    algo: str
+    cells: int
+    episodes: int
+    """Of each cell."""
+    oracle: str = ""
+    """Whose targets may cost more than a step."""
+    begun: int = 0
+    """Cells that were handed to workers."""
+    finished: int = 0
+    finished_steps: int = 0
+    """Steps of the finished cells."""
+    finished_episodes: int = 0
+    """Episodes of the finished cells: fewer than they might have had, where runs stopped."""
+    steps: int = 0
+    done_episodes: int = 0
+    seconds: float = 0.0
+    """That workers have spent on it, compilations left out."""
+    compile_seconds: float = 0.0
+    workers: int = 0
+    """Workers that are at it now."""
+    starting: int = 0
+    """Those of them that have not made a step yet."""
+    joined: int = 0
+    """Workers that have been at it: each compiles for itself."""
+    recent_steps: float = 0.0
+    recent_episodes: float = 0.0
+    """Of the last seconds: what an episode takes by now, where learners live longer and longer."""
+    before: Cost | None = None
+    """What the program took when it ran here the last time, of a core that does nothing else."""
+    paces: Paces = field(default_factory=Paces)
+    """How fast its workers are."""
+    heard_seconds: float = 0.0
+    """Between words of its workers, compilations among them."""
+    processor_seconds: float = 0.0
+    """That these workers had of a core meanwhile."""
+    slowness: float = 1.0
+    """Seconds that a second of a core takes by now: more than one where others are on it."""
+    ready_in: float = 0.0
+    """Seconds until the workers are there at all."""
+    compiling_for: float = 0.0
+    """Seconds that a worker has been compiling by now."""
+
+    def add(self, steps: int, episodes: int, compile_seconds: float) -> None:
+        """Take in what a worker has done since it was last heard."""
+        self.steps += steps
+        self.done_episodes += episodes
+        self.compile_seconds += compile_seconds
+        self.recent_steps = 0.9 * self.recent_steps + steps
+        self.recent_episodes = 0.9 * self.recent_episodes + episodes
+
+    def _steps_left(self) -> tuple[float, float]:
+        """Expected steps of the runs that are under way, and of those that are not begun.
+
+        Runs that are over are no sample of those that are not: on tasks where one falls early, the short ones come
+        first. So the runs that are under way go on as they do now, and those not begun are like all the others.
+        """
+        if self.finished >= self.cells:
+            return 0.0, 0.0
+        running = max(self.begun - self.finished, 0)
+        episodes = max(self.done_episodes - self.finished_episodes, 0)
+        steps = max(self.steps - self.finished_steps, 0)
+        recent = self.recent_steps / self.recent_episodes if self.recent_episodes > 0.5 else 0.0
+        length = max(recent, steps / episodes if episodes else 0.0)
+        if not length:
+            length = self.steps / max(self.done_episodes, 1)
+        of_running = length * max(running * self.episodes - episodes, 0)
+        known = self.finished + running
+        each = (self.finished_steps + steps + of_running) / known if known else 0.0
+        return of_running, each * (self.cells - known)
+
+    @property
+    def usual_episode(self) -> float:
+        """Seconds of an episode, as far as that is known before one was seen."""
+        return self.before.episode if self.before else costs.of_episode(self.env, self.algo, self.oracle)
+
+    @property
+    def usual_compiling(self) -> float:
+        """Seconds until a worker has the program, likewise."""
+        return self.before.compiling if self.before else costs.compiling(self.algo) * costs.tiers(self.algo)
+
+    @property
+    def took(self) -> Cost | None:
+        """What the program took of a core; None if too little of it was done to tell."""
+        if self.done < LEAST_DONE or not self.done_episodes or not self.joined:
+            return None
+        share = min(self.processor_seconds / self.heard_seconds, 1.0) if self.heard_seconds > 1.0 else 1.0
+        return Cost(share * self.seconds / self.done_episodes, share * self.compile_seconds / self.joined)
+
+    @property
+    def steps_left(self) -> float:
+        """Expected steps of all that is not done."""
+        return sum(self._steps_left())
+
+    @property
+    def steps_free(self) -> float:
+        """Those of cells that no worker has."""
+        return self._steps_left()[1]
+
+    @property
+    def done(self) -> float:
+        """Share of its steps that are done, from 0 to 1; a program without steps has none."""
+        return self.steps / (self.steps + self.steps_left) if self.steps else 0.0
+
+
+def works_of(sizes: Mapping[Program, int], before: Mapping[Program, Cost] = {}) -> dict[Program, Work]:
+    """The programs with so many cells each, in their order, with nothing done yet; and what some took `before`."""
+    return {
+        key: Work(key.env, key.algo, cells, key.episodes, key.oracle, before=before.get(key))
+        for key, cells in sizes.items()
+    }
+
+
+def is_seen(work: Work) -> bool:
+    """Whether its own speed can be told."""
+    return work.done > 0.02 and work.seconds > 0.5
