@@ -107,7 +107,6 @@ COMPILED_PLAINLY = (
     "policies/",
     "reproduce/test_illustrations.py",
     "study/",
-    "sweep/test_executables.py",
     "sweep/test_lander.py",
     "sweep/test_ppo.py",
     "sweep/test_schedule.py",

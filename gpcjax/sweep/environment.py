@@ -192,9 +192,16 @@ def cache_folder() -> Path | None:
 
 
 def programs_folder() -> Path | None:
-    """Where whole programs are kept, of this processor alone: beside what XLA keeps of them. None of a GPU are."""
+    """Where whole programs are kept: beside what XLA keeps of them. None of a GPU are.
+
+    All in it were made for this processor, by this compiler, which was told the same: XLA looks after that in its own
+    cache, and nobody but us in this one.
+    """
     folder = cache_folder()
-    return None if folder is None or compute_platform() != "cpu" else folder / f"programs-{_processor_hash()}"
+    if folder is None or compute_platform() != "cpu":
+        return None
+    made_by = hashlib.sha256("\n".join((_processor_hash(), _jaxlib(), *xla_options())).encode())
+    return folder / f"programs-{made_by.hexdigest()[:12]}"
 
 
 def forget_programs() -> bool:

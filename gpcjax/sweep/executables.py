@@ -32,6 +32,9 @@ from gpcjax.sweep.atomic import write_atomic
 MOST_BYTES = 1 << 29
 """Of all kept programs; those that were not used for longest go."""
 
+_IN_A_HURRY = "jax_disable_most_optimizations"
+"""A setting of jax that somebody may have in this process; workers have none."""
+
 Compiled = Callable[..., Any]
 _TEXT = re.compile(r"[0-9a-f]{32}")
 
@@ -51,7 +54,7 @@ class Executables:
         """The program of this digest, ready to be called; None if there is none that can be used here."""
         path = self._key(key)
         try:
-            text = path.read_text() if self._usable and _ours(path) else ""
+            text = path.read_text() if self._is_used() and _ours(path) else ""
             if text:
                 os.utime(path)
         except (OSError, ValueError):
@@ -63,7 +66,7 @@ class Executables:
 
         Another source may have lowered to the same text: then that program is found once more.
         """
-        words = lowered.as_text() if self._usable else "callback"
+        words = lowered.as_text() if self._is_used() else "callback"
         if "callback" in words:  # a function of this process has a part in it
             return lowered.compile()
         counts = leaves, given, others
@@ -77,6 +80,10 @@ class Executables:
             write_atomic(self._key(key), text)
             self._key(key).chmod(0o600)
         return found
+
+    def _is_used(self) -> bool:
+        """Not in a process whose programs are compiled in a hurry: others would take these for their own."""
+        return self._usable and not jax.config.values[_IN_A_HURRY]
 
     def _key(self, key: str) -> Path:
         return self._folder / f"{key}.key"

@@ -146,6 +146,17 @@ def test_xla_refuses_what_it_does_not_know():
     assert starts("--xla_no_such_option=1").startswith("--xla_no_such_option=1: ")
 
 
+def test_programs_are_kept_apart_by_what_xla_was_told_and_by_its_version(monkeypatch):
+    """A newer gpcjax with other options must not run what an older one compiled: rows would not be what it says."""
+    folders = {environment.programs_folder()}
+    for version in ("0.10.99", "0.11.0"):
+        monkeypatch.setattr(environment, "_jaxlib", lambda version=version: version)
+        folders.add(environment.programs_folder())
+    monkeypatch.setattr(environment, "XLA_OPTIONS", {"0.11": ("--xla_cpu_prefer_vector_width=512",)})
+    folders.add(environment.programs_folder())
+    assert len(folders) == 4 and len({folder.parent for folder in folders if folder}) == 1
+
+
 def test_a_gpu_is_asked_for_by_a_variable_of_our_own(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
     monkeypatch.setenv("GPCJAX_PLATFORM", "cuda")

@@ -7,7 +7,8 @@ import pytest
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.estimate import JOIN
-from gpcjax.sweep.executors import Desk, Totals, base
+from gpcjax.sweep.executors import Desk, Totals
+from gpcjax.sweep.executors import desk as desk_module
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing
 from gpcjax.sweep.spec import spec_of
@@ -169,7 +170,7 @@ class TestDesk:
 
     def test_a_worker_that_speaks_does_not_compile(self, monkeypatch):
         now = [100.0]
-        monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
+        monkeypatch.setattr(desk_module.time, "monotonic", lambda: now[0])
         it, _, _, told = desk(jobs=1)
         it.answer(0, ("ready",))
         it.answer(0, ("compiling", True))  # a program that was kept: no word comes that it is there
