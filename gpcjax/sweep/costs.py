@@ -26,11 +26,14 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 7.0, "gpc-ns": 11.0, "coach": 2.0, "d-coach": 20.0}
+_COMPILING = {"gpc": 5.0, "gpc-ns": 8.0, "coach": 2.0, "d-coach": 20.0}
 """Seconds until the programs of one tier are compiled."""
 
 _TIERS = {"gpc": 3, "gpc-ns": 3}
 """Tiers that runs with the usual settings get to, of learners with a dictionary."""
+
+_EPISODES_OF_FIRST = 5
+"""In so few episodes hardly a dictionary outgrows the first tier."""
 
 _EPISODE_OF_OTHERS, _COMPILING_OTHERS = 1e-3, 5.0
 """Of a task or a learner that is not in the tables: a guess that holds until it has been seen."""
@@ -46,6 +49,6 @@ def compiling(algo: str) -> float:
     return _COMPILING.get(algo, _COMPILING_OTHERS)
 
 
-def tiers(algo: str) -> int:
-    """How many tiers of dictionaries runs usually get to: each is compiled when the first one does."""
-    return _TIERS.get(algo, 1)
+def tiers(algo: str, episodes: int) -> int:
+    """How many tiers of dictionaries runs of so many episodes usually get to: each is compiled when a run does."""
+    return _TIERS.get(algo, 1) if episodes > _EPISODES_OF_FIRST else 1

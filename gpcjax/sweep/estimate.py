@@ -107,7 +107,7 @@ def _last_end(
             taken.add(index)
             # Who joins late hardly gets to the larger tiers.
             told = works[index].paces.compiled or not works[index].steps
-            tiers = costs.tiers(works[index].algo) if told and not fresh else 1
+            tiers = costs.tiers(works[index].algo, works[index].episodes) if told and not fresh else 1
             heapq.heappush(ends, (now + to_compile[index] / tiers, index))
     return last
 
@@ -163,7 +163,7 @@ def _shared(work: Work, seconds: float) -> Left:
 def _compiling(works: Sequence[Work]) -> float:
     """How much longer compilations take than those in the table, where programs did not run here before."""
     begun = [work for work in works if work.steps and not work.before]
-    compiled = (work.paces.compiled or costs.tiers(work.algo) for work in begun)
+    compiled = (work.paces.compiled or costs.tiers(work.algo, work.episodes) for work in begun)
     usual = sum(
         costs.compiling(work.algo) * tiers * work.joined for work, tiers in zip(begun, compiled, strict=True)
     )
@@ -185,6 +185,6 @@ def _further(work: Work, compiling: float) -> float:
     if not work.paces.compiled:
         return 0.0
     # Runs that get so far come with time.
-    expected = (costs.tiers(work.algo) - work.paces.compiled) * (1 - work.done)
+    expected = (costs.tiers(work.algo, work.episodes) - work.paces.compiled) * (1 - work.done)
     tiers = max(expected, work.paces.waiting)
     return overdue(tiers * costs.compiling(work.algo) * compiling, work.compiling_for) if tiers > 0 else 0.0

@@ -92,7 +92,11 @@ class Work:
     @property
     def usual_compiling(self) -> float:
         """Seconds until a worker has the program, likewise."""
-        return self.before.compiling if self.before else costs.compiling(self.algo) * costs.tiers(self.algo)
+        return (
+            self.before.compiling
+            if self.before
+            else costs.compiling(self.algo) * costs.tiers(self.algo, self.episodes)
+        )
 
     @property
     def took(self) -> Cost | None:
