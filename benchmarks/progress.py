@@ -41,8 +41,6 @@ class Kind:
     words: str
     cold: bool = False
     """Nothing is: programs go to an empty folder. Otherwise all are, by an earlier call with two seeds."""
-    unseen: bool = False
-    """No run of this sweep is known of before, though its programs are kept."""
 
 
 KINDS = (
@@ -53,7 +51,7 @@ KINDS = (
     Kind("one process, cold", "sweep --env pendulum --algo gpc-ns --seeds 80 --jobs 1", cold=True),
     Kind("a grid", "grid --env mountaincar --algo gpc,gpc-ns --human-length-scale 0.05,0.1,0.2 --seeds 80"),
     Kind(
-        "large dictionaries", "sweep --env cartpole --algo gpc --no-sparsify --seeds 150 --max-capacity 2048"
+        "large dictionaries", "sweep --env cartpole --algo gpc --no-sparsify --seeds 600 --max-capacity 2048"
     ),
     Kind(
         "states are kept",
@@ -64,8 +62,8 @@ KINDS = (
         "sweep --env cartpole --algo drifting:Linear,coach --error 0,0.2 --seeds 2000",
     ),
     Kind("D-COACH", "sweep --env pendulum --algo d-coach --seeds 60"),
-    Kind("lander, COACH", "sweep --env lunarlander --algo coach --seeds 16 --episodes 100"),
-    Kind("lander, GPC and COACH", "sweep --env lunarlander --algo gpc,coach --seeds 6 --episodes 30"),
+    Kind("lander, COACH", "sweep --env lunarlander --algo coach --seeds 40 --episodes 100"),
+    Kind("lander, GPC and COACH", "sweep --env lunarlander --algo gpc,coach --seeds 16 --episodes 30"),
 )
 
 
@@ -81,9 +79,15 @@ def lines_of(kind: Kind, folder: Path, jobs: int) -> list[dict[str, Any]]:
     words = kind.words.split()
     words += [] if "--jobs" in words else ["--jobs", str(jobs)]
     if not kind.cold:
-        _run([*words, "--seeds", "7000-7063", "--out", str(folder / "before")], environment)
+        _run([*without_seeds(words), "--seeds", "7000-7063", "--out", str(folder / "before")], environment)
     told = _run([*words, "--out", str(folder / "out")], environment)
     return [json.loads(line) for line in told.splitlines() if '"left_s"' in line]
+
+
+def without_seeds(words: Sequence[str]) -> list[str]:
+    """A command without its `--seeds`, which can be given only once."""
+    at = words.index("--seeds") if "--seeds" in words else len(words)
+    return [*words[:at], *words[at + 2 :]]
 
 
 def _run(words: Sequence[str], environment: dict[str, str]) -> str:

@@ -5,18 +5,18 @@ experiment that has not begun, they are all that is known.
 """
 
 _EPISODE = {
-    ("cartpole", "gpc"): 1.5e-3,
-    ("cartpole", "gpc-ns"): 3e-3,
-    ("cartpole", "coach"): 3.8e-4,
-    ("pendulum", "gpc"): 7.7e-4,
-    ("pendulum", "gpc-ns"): 4e-3,
-    ("pendulum", "coach"): 2.1e-4,
+    ("cartpole", "gpc"): 6.5e-4,
+    ("cartpole", "gpc-ns"): 1.1e-3,
+    ("cartpole", "coach"): 2.2e-4,
+    ("pendulum", "gpc"): 3e-4,
+    ("pendulum", "gpc-ns"): 2.2e-3,
+    ("pendulum", "coach"): 9e-5,
     ("lunarlander", "gpc"): 1.3e-2,
     ("lunarlander", "gpc-ns"): 2.2e-1,
     ("lunarlander", "coach"): 7e-3,
-    ("mountaincar", "gpc"): 9e-4,
-    ("mountaincar", "gpc-ns"): 5e-3,
-    ("mountaincar", "coach"): 3e-4,
+    ("mountaincar", "gpc"): 3.4e-4,
+    ("mountaincar", "gpc-ns"): 2.5e-3,
+    ("mountaincar", "coach"): 1.2e-4,
 }
 """Seconds of an episode, with an expert whose target costs no more than a step: the mean of a task is that of its
 experiment in docs/reproduction, the ratios of its learners are those of `benchmarks/README.md`. The mountain car's are
@@ -26,11 +26,14 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 5.0, "gpc-ns": 8.0, "coach": 2.0, "d-coach": 20.0}
+_COMPILING = {"gpc": 5.5, "gpc-ns": 5.2, "coach": 2.7, "d-coach": 12.0}
 """Seconds until the programs of one tier are compiled."""
 
-_TIERS = {"gpc": 3, "gpc-ns": 3}
+_TIERS = {"gpc": 3, "gpc-ns": 4}
 """Tiers that runs with the usual settings get to, of learners with a dictionary."""
+
+LANES = 64
+"""Of a block: a sweep of so few cells keeps it full for half of its time."""
 
 _EPISODES_OF_FIRST = 5
 """In so few episodes hardly a dictionary outgrows the first tier."""

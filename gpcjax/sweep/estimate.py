@@ -18,6 +18,9 @@ JOIN = 48
 KNOWN = 0.15
 """How far off the seconds of a program usually are, as a part of all, where it ran here before."""
 
+UNLIKE = 0.1
+"""How much farther, with each factor of e between the cells of then and now."""
+
 LATE = 0.25
 """What is late takes as much longer, as a part of the time since it began."""
 
@@ -45,7 +48,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         return 0.0
     seen = [work for work in works if is_seen(work)]
     usual = sum(_usual(work) * work.done for work in seen)
-    speed = sum(work.seconds for work in seen) / usual if usual else max(work.slowness for work in works)
+    speed = sum(work.seconds for work in seen) / usual if usual else _guessed(works)
     bound, free, to_compile = {}, {}, {}
     """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
     compiling = _compiling(works)
@@ -117,6 +120,11 @@ def overdue(expected: float, elapsed: float) -> float:
     return max(expected - elapsed, LATE * elapsed)
 
 
+def _guessed(works: Sequence[Work]) -> float:
+    """How much longer than in `costs` all takes, as long as nothing of it has been seen here."""
+    return max(work.slowness * work.machine for work in works)
+
+
 def _usual(work: Work) -> float:
     return work.cells * work.episodes * work.usual_episode
 
@@ -145,7 +153,8 @@ def _left(work: Work, speed: float) -> Left:
         return by_pace
     # An expectation that has been wrong so far is not to be trusted either.
     odd = abs(math.log(work.seconds / (whole * work.done)))
-    expected, measured = KNOWN + odd * work.done / 2, MEASURED * (1 - work.done)
+    unlike = abs(math.log(work.before.cells / work.cells)) if work.before.cells else 1.0
+    expected, measured = KNOWN + UNLIKE * unlike + odd * work.done, MEASURED * (1 - work.done)
     trust = expected**2 / (expected**2 + measured**2)
     both = trust * seconds + (1 - trust) * max(whole - work.seconds, 0.0)
     return Left(by_pace.bound * both / seconds, by_pace.free * both / seconds)
@@ -168,7 +177,7 @@ def _compiling(works: Sequence[Work]) -> float:
         costs.compiling(work.algo) * tiers * work.joined for work, tiers in zip(begun, compiled, strict=True)
     )
     if not usual:
-        return max(work.slowness for work in works)
+        return _guessed(works)
     return sum(work.compile_seconds for work in begun) / usual
 
 

@@ -19,8 +19,11 @@ FILE = "seconds.json"
 MOST = 2000
 """Programs that are remembered: the last ones."""
 
-FROM_CACHE = 0.05
-"""Part of the seconds of compiling that it takes once it is kept: 1.0 of 22, 1.5 of 40, 0.2 of 4.9 s were seen."""
+FROM_CACHE = 0.07
+"""Part of the seconds of compiling that it takes once it is kept: 1.4 of 20, 0.2 of 2.8 s were seen."""
+
+COMPILED_FROM = 0.8
+"""Seconds that a program takes at least if it is compiled, and not found in XLA's cache."""
 
 START, USUAL_START = "start", 2.0
 """The entry for the seconds until workers are there, and how many these are where nobody knows."""
@@ -36,6 +39,8 @@ class Cost(NamedTuple):
     """Of an episode, the mean over a run."""
     compiling: float
     """Until a worker has its programs; from the cache, where they are once they were compiled."""
+    cells: int
+    """That these were seen of."""
 
 
 def of(programs: Iterable[Program], folder: Path | None) -> dict[Program, Cost]:
@@ -55,11 +60,10 @@ def learn(costs: Mapping[Program, Cost], folder: Path | None, started: float | N
         return
     entries = _read(folder)
     if started is not None:
-        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0]
+        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0, 1.0]
     for program, cost in costs.items():
-        compiled_before = entries.pop(_key(program), None) is not None
-        compiling = cost.compiling if compiled_before else FROM_CACHE * cost.compiling
-        entries[_key(program)] = [cost.episode, compiling]  # last, as the newest
+        entries.pop(_key(program), None)
+        entries[_key(program)] = [cost.episode, cost.compiling, cost.cells]  # last, as the newest
     newest = dict(list(entries.items())[-MOST:])
     with suppress(OSError, ValueError):
         write_atomic(folder / FILE, json.dumps(newest))
@@ -84,6 +88,6 @@ def _read(folder: Path | None) -> dict[str, Any]:
 def _is_cost(value: object) -> bool:
     return (
         isinstance(value, list)
-        and len(value) == 2
-        and all(isinstance(each, float) and math.isfinite(each) and each >= 0 for each in value)
+        and len(value) == 3
+        and all(type(each) in (int, float) and math.isfinite(each) and each >= 0 for each in value)
     )

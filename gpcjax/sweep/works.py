@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from gpcjax.registry import find
 from gpcjax.sweep import costs
-from gpcjax.sweep.experience import LEAST_DONE, Cost
+from gpcjax.sweep.experience import COMPILED_FROM, FROM_CACHE, LEAST_DONE, Cost
 from gpcjax.sweep.paces import Paces
 from gpcjax.sweep.plan import Program
 
@@ -32,6 +33,8 @@ class Work:
     seconds: float = 0.0
     """That workers have spent on it, compilations left out."""
     compile_seconds: float = 0.0
+    compilations: int = 0
+    """Programs that were not kept, for all workers."""
     workers: int = 0
     """Workers that are at it now."""
     starting: int = 0
@@ -51,6 +54,8 @@ class Work:
     """That these workers had of a core meanwhile."""
     slowness: float = 1.0
     """Seconds that a second of a core takes by now: more than one where others are on it."""
+    machine: float = 1.0
+    """How many times as long as in `costs` a core takes here."""
     ready_in: float = 0.0
     """Seconds until the workers are there at all."""
     compiling_for: float = 0.0
@@ -87,7 +92,12 @@ class Work:
     @property
     def usual_episode(self) -> float:
         """Seconds of an episode, as far as that is known before one was seen."""
-        return self.before.episode if self.before else costs.of_episode(self.env, self.algo, self.oracle)
+        if not self.before:
+            return costs.of_episode(self.env, self.algo, self.oracle)
+        if find("task", self.env).on_host:
+            return self.before.episode
+        # Fewer cells leave the block emptier, and longer: the last ones take as long as a full block does.
+        return self.before.episode * _emptiness(self.cells) / _emptiness(self.before.cells)
 
     @property
     def usual_compiling(self) -> float:
@@ -104,7 +114,13 @@ class Work:
         if self.done < LEAST_DONE or not self.done_episodes or not self.joined:
             return None
         share = min(self.processor_seconds / self.heard_seconds, 1.0) if self.heard_seconds > 1.0 else 1.0
-        return Cost(share * self.seconds / self.done_episodes, share * self.compile_seconds / self.joined)
+        compiling = share * self.compile_seconds / self.joined
+        # Somebody else's code is traced anew, and may be found in XLA's own cache then, which takes less.
+        anew = self.compilations and self.compile_seconds / self.compilations > COMPILED_FROM
+        cells = round(self.cells * self.done)
+        return Cost(
+            share * self.seconds / self.done_episodes, FROM_CACHE * compiling if anew else compiling, cells
+        )
 
     @property
     def steps_left(self) -> float:
@@ -128,6 +144,11 @@ def works_of(sizes: Mapping[Program, int], before: Mapping[Program, Cost] = {}) 
         key: Work(key.env, key.algo, cells, key.episodes, key.oracle, before=before.get(key))
         for key, cells in sizes.items()
     }
+
+
+def _emptiness(cells: int) -> float:
+    """How much longer a cell takes than one of very many."""
+    return 1.0 + costs.LANES / max(cells, 1)
 
 
 def is_seen(work: Work) -> bool:

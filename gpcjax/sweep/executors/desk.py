@@ -167,6 +167,8 @@ class Desk:
 
     def _answer(self, worker: int, message: Message) -> Message | None:
         match message:
+            case ("begun", seconds, processor):
+                self._crowd.begin(seconds, processor)
             case ("ready",):
                 return self._next_program(worker)
             case ("next",):
@@ -256,6 +258,7 @@ class Desk:
             return
         work, compiled = self._sharing.works[program], progress.compile_seconds - before.compile_seconds
         work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
+        work.compilations += progress.compilations - before.compilations
         if progress.env_steps > before.env_steps:
             self._sharing.steps(worker)
         work.paces.take(worker, progress.paces)
@@ -276,7 +279,8 @@ class Desk:
         waiting = not all(heard.ready for heard in self._heard)
         ready_in = overdue(slowness * self._starts, now - self._began) if waiting else 0.0
         for work in self._sharing.works.values():
-            work.slowness, work.ready_in, work.compiling_for = slowness, ready_in, 0.0
+            work.slowness, work.machine = slowness, self._crowd.machine
+            work.ready_in, work.compiling_for = ready_in, 0.0
         for worker, heard in enumerate(self._heard):
             program = self._sharing.at(worker)
             if program is not None and heard.compiling_since is not None:

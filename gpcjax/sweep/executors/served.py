@@ -8,10 +8,12 @@ import ctypes
 import os
 import signal
 import sys
+import time
 
 
 def main() -> None:
     """Serves the connection whose descriptor is the first argument; the second one is the parent's process."""
+    began = time.monotonic()
     die_with_parent(int(sys.argv[2]))
     from multiprocessing.connection import Connection
 
@@ -31,6 +33,7 @@ def main() -> None:
 
     from gpcjax.sweep.worker import work
 
+    say(("begun", time.monotonic() - began, time.process_time()))
     if not work(say):
         raise SystemExit(1)
 
