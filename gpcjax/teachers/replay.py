@@ -4,11 +4,12 @@ import dataclasses
 import functools
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Array, Bool, Float, Int, Int8, Int32
 
 from gpcjax.describe import TeacherSpec
 from gpcjax.elsewhere import path_here
@@ -17,19 +18,23 @@ from gpcjax.moment import Moment
 from gpcjax.recording import RECORD, Recording
 from gpcjax.teachers.base import Teacher
 
-LARGEST = 1 << 24
-"""Steps of all episodes of a recording, each counted as long as the longest."""
+LARGEST = 1 << 31
+"""Steps of all episodes of a recording, each counted as long as the longest: moments have numbers of 32 bits."""
 
 
 class Replay(Teacher):
     """Gives the advice of a recording, whatever the learner does: its coins are not looked at.
 
     Fields:
-        table: (episodes, steps, action), h as it was given at each step.
+        moments: (n,), when there was advice, in order: `episode * longest + step`.
+        given: (n, action), h as it was given then.
+        longest: steps of an episode, at most.
         episode: the index of the present episode; `during` sets it.
     """
 
-    table: Int8[Array, "episodes steps action *lanes"]
+    moments: Int[Array, "n *lanes"]
+    given: Int8[Array, "n action *lanes"]
+    longest: Int[Array, "*lanes"]
     episode: Int[Array, "*lanes"] | None = None
 
     def during(self, episode: Int[Array, "*lanes"]) -> "Replay":
@@ -52,10 +57,25 @@ class Replay(Teacher):
 
     def _at(self, step: Int[Array, "*lanes"]) -> Int8[Array, "action *lanes"]:
         assert self.episode is not None
-        look = lambda table, episode, step: table.at[episode, step].get(mode="fill", fill_value=0)  # noqa: E731
+        look = _looked_up
         for _ in range(step.ndim):
             look = jax.vmap(look, in_axes=-1, out_axes=-1)
-        return look(self.table, self.episode, step)
+        return look(self.moments, self.given, self.longest, self.episode, step)
+
+
+def _looked_up(
+    moments: Int[Array, " n"],
+    given: Int8[Array, "n action"],
+    longest: Int[Array, ""],
+    episode: Int[Array, ""],
+    step: Int[Array, ""],
+) -> Int8[Array, " action"]:
+    """What was given at a step of one lane; zeros where nothing was."""
+    # A later episode than any of the recording has no number.
+    known = (step < longest) & (episode <= moments[-1] // longest)
+    moment = jnp.where(known, episode * longest + step, -1).astype(moments.dtype)
+    place = jnp.searchsorted(moments, moment)
+    return jnp.where(known & (moments[place] == moment), given[place], 0)
 
 
 def described_record(path: str, source: str) -> TeacherSpec:
@@ -68,20 +88,28 @@ def described_record(path: str, source: str) -> TeacherSpec:
     if os.path.isdir(file):
         file = os.path.join(file, RECORD)
     try:
-        table = read_advice(file)
+        recorded = read_advice(file)
     except UserError as error:
         raise UserError(f"{source} replay:{error}") from None
     return TeacherSpec(
         name=f"replay:{path}",
-        make=functools.partial(Replay, jnp.asarray(table)),
+        make=functools.partial(Replay, *map(jnp.asarray, recorded)),
         needs_expert=False,
-        action_size=table.shape[2],
+        action_size=recorded.given.shape[1],
         label=f"recording {Path(path).name}",
     )
 
 
-def read_advice(path: str) -> np.ndarray:
-    """The advice of the recording of a session: (episodes, steps, action), int8, 0 where there was none.
+class Advice(NamedTuple):
+    """The advice of a recording, as `Replay` has it."""
+
+    moments: Int32[np.ndarray, " n"]
+    given: Int8[np.ndarray, "n action"]
+    longest: np.int32
+
+
+def read_advice(path: str) -> Advice:
+    """The advice of the recording of a session, where there was any.
 
     Of several at one step the last one holds, for each action dimension; what was undone was not given.
 
@@ -106,7 +134,9 @@ def read_advice(path: str) -> np.ndarray:
         raise UserError(
             f"{path}: {episodes:,} episodes of {steps:,} steps are too many, at most {LARGEST:,} in all"
         )
-    table = np.zeros((episodes, steps, sizes.pop()), np.int8)
+    held: dict[int, np.ndarray] = {}
     for episode, step, advice in given:
-        table[episode, step] = np.where(np.asarray(advice) != 0, advice, table[episode, step])
-    return table
+        latest, moment = np.asarray(advice, np.int8), episode * steps + step
+        held[moment] = np.where(latest != 0, latest, held.get(moment, latest))
+    moments = sorted(held)
+    return Advice(np.array(moments, np.int32), np.array([held[each] for each in moments]), np.int32(steps))

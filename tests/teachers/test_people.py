@@ -244,25 +244,29 @@ class TestReplay:
             UNDO,
             UNDO,
         )
-        table = read_advice(path)
-        assert table.shape == (3, 5, 2) and table.dtype == np.int8
-        expected = np.zeros((3, 5, 2))
-        expected[0, 0], expected[0, 3], expected[0, 4] = (1, -1), (-1, 1), (-1, 1)
-        expected[2, 1] = -1, 0
-        np.testing.assert_array_equal(table, expected)
+        recorded = read_advice(path)
+        assert recorded.longest == 5
+        np.testing.assert_array_equal(recorded.moments, [0, 3, 4, 11])
+        np.testing.assert_array_equal(recorded.given, [(1, -1), (-1, 1), (-1, 1), (-1, 0)])
 
     def test_it_is_given_at_its_steps_whatever_the_coins(self, tmp_path):
         spec = described_record(written(tmp_path, advised(0, 1, 1, -1), advised(1, 0, 0, 1)), "teacher")
         assert (spec.action_size, spec.needs_expert, spec.label) == (2, False, "recording record.jsonl")
         teacher = spec.make()
         assert isinstance(teacher, Replay) and not teacher.draws and teacher.reach == 0
-        places = np.array([(0, 0), (0, 1), (1, 0), (1, 1), (0, 7), (5, 0)], np.int32).T
-        expected = np.array([[0, 0], [1, -1], [0, 1], [0, 0], [0, 0], [0, 0]]).T
-        many = in_lanes(teacher, 6).during(jnp.asarray(places[0]))
-        here = moment(lanes=6, episode=places[0], step=places[1])
-        for drawn in (jnp.zeros((2, 6)), jnp.ones((2, 6))):
+        late = 2**30
+        """An episode, or a step, whose number would be another's in 32 bits."""
+        places = np.array(
+            [(0, 0), (0, 1), (1, 0), (1, 1), (0, 7), (5, 0), (0, 2), (late, 0), (0, late), (2 * late - 1, 0)],
+            np.int32,
+        ).T
+        expected = np.array([[0, 0], [1, -1], [0, 1], *[[0, 0]] * 7]).T
+        lanes = places.shape[1]
+        many = in_lanes(teacher, lanes).during(jnp.asarray(places[0]))
+        here = moment(lanes=lanes, episode=places[0], step=places[1])
+        for drawn in (jnp.zeros((2, lanes)), jnp.ones((2, lanes))):
             np.testing.assert_array_equal(many.advise(drawn, here), expected)
-            np.testing.assert_array_equal(many.may_advise(drawn, jnp.zeros(6), here.step), expected != 0)
+            np.testing.assert_array_equal(many.may_advise(drawn, jnp.zeros(lanes), here.step), expected != 0)
 
         def alone(episode, step):
             return teacher.during(episode).may_advise(jnp.zeros(2), jnp.zeros(()), step)
@@ -276,7 +280,7 @@ class TestReplay:
             ([], "nobody gave advice in this session"),
             ([advised(0, 0, 1), UNDO], "nobody gave advice in this session"),
             ([advised(0, 0, 1), advised(0, 1, 1, 1)], "its advice has different sizes"),
-            ([advised(5000, 0, 1), advised(0, 5000, 1)], "5,001 episodes of 5,001 steps are too many"),
+            ([advised(50000, 0, 1), advised(0, 50000, 1)], "50,001 episodes of 50,001 steps are too many"),
             ([advised(0, 0, 2)], ", line 2: this is no event of a session"),
             ([advised(0, 0, 1), advised(0, -1, 1)], ", line 3: this is no event of a session"),
             ([advised(0, 0, [1])], ", line 2: this is no event of a session"),
