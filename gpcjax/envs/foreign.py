@@ -22,6 +22,7 @@ from gpcjax.envs.brax_tasks import KNOWN, Known
 from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
 from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
+from gpcjax.making import Maker
 
 _EXPERT = "a function of an observation, or a class or function without arguments that makes one"
 
@@ -82,38 +83,22 @@ def task_of(name: str, found: Callable[..., Any]) -> TaskSpec:
         UserError: what it makes is no task that can be taught.
         ForeignError: it cannot be made, or its reset or its step fails.
     """
-    env = _made(name, found)
+    make = Maker(f"env {name}", found, functools.partial(_accepted, name))
+    env = make()
     return TaskSpec(
         name=name,
-        make=_Maker(name, found),
+        make=make,
         on_host=isinstance(env, HostEnv),
         sizes=_sizes_of(env),
         time_step=_time_step(env),
     )
 
 
-class _Maker:
-    """Makes a task of a person's own, with parameters if given."""
-
-    def __init__(self, name: str, found: Callable[..., Any]):
-        self._name, self._found = name, found
-        self.__signature__ = inspect.signature(found)
-
-    def __call__(self, **parameters: Any) -> Env | HostEnv:
-        return _made(self._name, self._found, **parameters)
-
-
-def _made(name: str, found: Callable[..., Any], **parameters: Any) -> Env | HostEnv:
-    source = f"env {name}"
-    try:
-        thing = found(**parameters)
-    except UserError:
-        raise
-    except Exception as error:
-        raise ForeignError(f"{source}: it cannot be made", error) from None
+def _accepted(name: str, thing: Any) -> Env | HostEnv:
+    """What was made, in our shape, if it is a task that can be taught."""
     env = _adapted(name, thing)
     if isinstance(env, Env):
-        _check(source, env)
+        _check(f"env {name}", env)
     return env
 
 

@@ -1,12 +1,14 @@
 """Teachers from elsewhere: the description of a class or a function in a person's own module."""
 
+import functools
 import inspect
 from collections.abc import Callable
 from typing import Any
 
 from gpcjax.allowed import shown
 from gpcjax.describe import TeacherSpec, settings_from
-from gpcjax.errors import ForeignError, UserError
+from gpcjax.errors import UserError
+from gpcjax.making import Maker
 from gpcjax.teachers.base import Teacher
 
 _OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05, "time_step": 1.0}
@@ -25,27 +27,14 @@ def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
     """
     if inspect.isclass(found) and not issubclass(found, Teacher):
         raise UserError(f"teacher {name}: {shown(found)} is no teacher, give a subclass of gpcjax.Teacher")
-    make = _Maker(name, found)
-    settings = settings_from(f"teacher {name}", found, others=(*_OF_A_SWEEP, "schedule"))
+    source = f"teacher {name}"
+    make = Maker(source, found, functools.partial(_accepted, source))
+    settings = settings_from(source, found, others=(*_OF_A_SWEEP, "schedule"))
     make(**{word: value for word, value in _OF_A_SWEEP.items() if word in make.__signature__.parameters})
     return TeacherSpec(name=name, make=make, settings=settings)
 
 
-class _Maker:
-    """Makes a teacher of a person's own."""
-
-    def __init__(self, name: str, found: Callable[..., Any]):
-        self._name, self._found = name, found
-        self.__signature__ = inspect.signature(found)
-
-    def __call__(self, **values: Any) -> Teacher:
-        source = f"teacher {self._name}"
-        try:
-            made = self._found(**values)
-        except UserError:
-            raise
-        except Exception as error:
-            raise ForeignError(f"{source}: it cannot be made", error) from None
-        if not isinstance(made, Teacher):
-            raise UserError(f"{source}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
-        return made
+def _accepted(source: str, made: Any) -> Teacher:
+    if not isinstance(made, Teacher):
+        raise UserError(f"{source}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
+    return made
