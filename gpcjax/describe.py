@@ -233,6 +233,18 @@ OF_EVERY_SWEEP = frozenset(
 )
 """Names of settings that no learner and no teacher can have for its own."""
 
+COLUMNS = frozenset(
+    "episode return length corrections mean_rate asked chance policy_points human_points clipped full status "
+    "step action_dim sigma_policy sigma_human appended replaced advice_rate "
+    "kind card arrays policy learner state".split()
+)
+"""Names of columns of every sweep's tables, beside those of `OF_EVERY_SWEEP` and `seed`: nothing else can have them."""
+
+
+def is_column(name: str) -> bool:
+    """Whether the tables of every sweep may have a column of this name."""
+    return name in COLUMNS or name in OF_EVERY_SWEEP or name == "seed"
+
 
 def settings_from(
     source: str, found: Callable[..., Any], others: tuple[str, ...] = ()
@@ -242,7 +254,7 @@ def settings_from(
     Whole numbers are compiled in; all others are data of one program.
 
     Raises:
-        UserError: one of them has the name of a setting of every sweep; `source` begins the message.
+        UserError: one of them has the name of a setting or a column of every sweep; `source` begins the message.
     """
     fields = {each.name: each.default for each in getattr(found, "__dataclass_fields__", {}).values()}
     settings = []
@@ -250,10 +262,9 @@ def settings_from(
         default = fields.get(name, parameter.default)
         if name in others or not isinstance(default, numbers.Real) or isinstance(default, bool):
             continue
-        if name in OF_EVERY_SWEEP:
-            raise UserError(
-                f"{source}: its argument {name} is a setting of every sweep, give it another name"
-            )
+        if is_column(name):
+            what = "setting" if name in OF_EVERY_SWEEP else "column"
+            raise UserError(f"{source}: its argument {name} is a {what} of every sweep, give it another name")
         whole = isinstance(default, numbers.Integral)
         settings.append(
             Setting(

@@ -123,7 +123,8 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     program = program_of(cell)
     template = start_of(dataclasses.replace(cell, start=None))
     if cell.algo not in built_in("learner"):
-        rehearse_learner(cell.algo, template.learner)
+        specs: tuple[LearnerSpec, TeacherSpec] = find("learner", cell.algo), find("teacher", cell.teacher)
+        rehearse_learner(cell.algo, template.learner, {each.name for spec in specs for each in spec.settings})
     if not template.teacher.is_ours:
         rehearse_teacher(
             cell.teacher, template.teacher, template.learner.obs_size, template.learner.action_size

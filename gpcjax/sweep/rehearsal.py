@@ -3,13 +3,15 @@
 What it gets wrong is told in its own words then, and not in those of a program of many lanes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gpcjax.allowed import shown
+from gpcjax.describe import is_column
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.base import Info, Learner
 from gpcjax.moment import Moment
@@ -18,8 +20,8 @@ from gpcjax.teachers.base import Teacher
 T = TypeVar("T")
 
 
-def rehearse_learner(name: str, learner: Learner) -> None:
-    """Traces what a learner does in a sweep.
+def rehearse_learner(name: str, learner: Learner, settings: Collection[str] = ()) -> None:
+    """Traces what a learner does in a sweep that may have columns for these `settings`.
 
     Raises:
         ForeignError: one of its methods fails, or gives something of another shape or type than it should.
@@ -51,6 +53,13 @@ def rehearse_learner(name: str, learner: Learner) -> None:
         raise _does_not_fit(
             f"{source}.measure", f"it gives {_shown(measured)}, it should give a number for each name"
         )
+    for each in measured:
+        if not isinstance(each, str) or not each.isidentifier():
+            raise UserError(f"{source}.measure: {shown(each)} can be no column, give a name like n_updates")
+        if is_column(each) or each in settings:
+            raise UserError(
+                f"{source}.measure: {each} is a column of this sweep already, give it another name"
+            )
 
 
 def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: int) -> None:

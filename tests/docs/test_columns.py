@@ -2,9 +2,13 @@
 
 import re
 
+import pytest
+
 import gpcjax
 from docs.making import columns, flags
 from gpcjax.cli.commands import COMMANDS
+from gpcjax.describe import is_column, settings_from
+from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
 from gpcjax.sweep.plan import plan
@@ -25,6 +29,21 @@ def test_the_data_dictionary_has_the_columns_of_a_store():
     for folder, read in TABLES.items():
         told = set(columns.tabled(read)) - {"...", "rate" if folder != CORRECTIONS else "advice_rate"}
         assert told == {*written[folder].column_names}, folder
+
+
+def test_no_setting_and_no_measurement_of_ones_own_has_a_name_of_these():
+    cells = plan(spec_of(env="cartpole", seeds=1))
+    written = tables_of([rows(cell, kept=True) for cell in cells], ["rate"])
+    names = {name for table in written.values() for name in table.column_names}
+    for read in TABLES.values():
+        names |= {*columns.tabled(read)} - {"..."}
+    assert {name for name in names if not is_column(name)} == set()
+
+    def learner(obs_size, action_size, chance=0.5):
+        raise AssertionError("it is not made")
+
+    with pytest.raises(UserError, match="algo mine:it: its argument chance is a column of every sweep, give"):
+        settings_from("algo mine:it", learner, others=("obs_size", "action_size"))
 
 
 def test_what_learners_measure_besides_is_told():

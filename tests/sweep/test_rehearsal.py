@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.errors import ForeignError
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
 from gpcjax.sweep.worker import work
 from tests.foreign.drifting import Linear, Loud
@@ -72,6 +72,26 @@ def test_learners(learner, message):
     ) as told:
         rehearse_learner("mine:it", learner(obs_size=2, action_size=1))
     assert ("RuntimeError: no learning today" in told.value.details) == (learner is Raises)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("return", "return is a column of this sweep already"),
+        ("seed", "seed is a column"),
+        ("error", "error is a column"),
+        ("step_size", "step_size is a column"),
+        ("mean weight", "'mean weight' can be no column, give a name"),
+        (3, "3 can be no column"),
+    ],
+)
+def test_a_measurement_has_a_column_of_its_own(name, message):
+    class Named(Linear):
+        def measure(self, state):
+            return {name: state.sum()}
+
+    with pytest.raises(UserError, match=f"^algo mine:it: Named.measure: {message}"):
+        rehearse_learner("mine:it", Named(obs_size=2, action_size=1), ["step_size"])
 
 
 class Tired(Loud):
