@@ -48,9 +48,9 @@ def recorded(cell: Cell) -> CellRows:
     counts = "length corrections asked policy_points human_points clipped full".split()
     episodes = {name: numbers.random(EPISODES) for name in names}
     episodes |= {name: numbers.integers(0, 1000, EPISODES).astype(np.int32) for name in counts}
-    where = numbers.integers(0, EPISODES, (CORRECTIONS, 3)).astype(np.int32)
+    moments = numbers.integers(0, EPISODES, (CORRECTIONS, 3)).astype(np.int32)
     corrections = {
-        "where": where,
+        "moments": moments,
         "values": numbers.random((CORRECTIONS, 3)),
         "outcome": numbers.random((CORRECTIONS, 3)) < 0.5,
     }

@@ -97,10 +97,10 @@ def log_correction(
     log: CorrectionLog,
     lane: Int[Array, "*lanes"],
     info: Info,
-    where: tuple[Int[Array, "*lanes"], Int[Array, "*lanes"], Int[Array, "*lanes"]],
+    moment: tuple[Int[Array, "*lanes"], Int[Array, "*lanes"], Int[Array, "*lanes"]],
     counted: Bool[Array, "*lanes"] | None = None,
 ) -> CorrectionLog:
-    """One more line for a correction of `lane`, if it was `counted`; `where` is its episode, step and dimension.
+    """One more line for a correction of `lane`, if it was `counted`; `moment` is its episode, step and dimension.
 
     Of one lane, or of all of them at once: then each argument has the lanes as its first axis.
     """
@@ -112,7 +112,7 @@ def log_correction(
     outcome = jnp.stack([info.appended, info.replaced, info.full], axis=-1)
     return CorrectionLog(
         count=log.count.at[lane].add((position < LOGGED_CORRECTIONS).astype(jnp.int32)),
-        where=log.where.at[lane, position].set(jnp.stack(where, axis=-1), mode="drop"),
+        moments=log.moments.at[lane, position].set(jnp.stack(moment, axis=-1), mode="drop"),
         values=log.values.at[lane, position].set(values, mode="drop"),
         outcome=log.outcome.at[lane, position].set(outcome, mode="drop"),
     )

@@ -86,7 +86,7 @@ class CorrectionLog(eqx.Module):
     """The first `LOGGED_CORRECTIONS` corrections, one entry for each corrected action dimension."""
 
     count: Int[Array, "*lanes"]
-    where: Int[Array, "*lanes log 3"]
+    moments: Int[Array, "*lanes log 3"]
     """Episode (from 0), step (from 0), action dimension."""
     values: Float[Array, "*lanes log 3"]
     """Rate, sigma_policy, sigma_human."""
@@ -233,7 +233,7 @@ def fresh(
         ),
         log=CorrectionLog(
             count=zero,
-            where=jnp.zeros((LOGGED_CORRECTIONS, 3), jnp.int32),
+            moments=jnp.zeros((LOGGED_CORRECTIONS, 3), jnp.int32),
             values=jnp.zeros((LOGGED_CORRECTIONS, 3)),
             outcome=jnp.zeros((LOGGED_CORRECTIONS, 3), bool),
         ),

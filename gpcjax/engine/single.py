@@ -215,18 +215,18 @@ def idled(block: Lane) -> Lane:
 def told(block: Lane) -> Info:
     """What the corrections of a block have done that was `cleared` before them."""
     count, action_size = int(np.asarray(block.log.count)[0]), block.action.shape[0]
-    logged = (np.asarray(getattr(block.log, name))[0, :count] for name in ("where", "values", "outcome"))
-    where, values, outcome = logged
+    logged = (np.asarray(getattr(block.log, name))[0, :count] for name in ("moments", "values", "outcome"))
+    moments, values, outcome = logged
     numbers, flags = np.full((action_size, 3), np.nan), np.zeros((action_size, 3), bool)
     numbers[:, 0] = 0.0
-    numbers[where[:, 2]], flags[where[:, 2]] = values, outcome
+    numbers[moments[:, 2]], flags[moments[:, 2]] = values, outcome
     return Info(*jax.device_put((*numbers.T, *flags.T, np.asarray(block.status)[0])))
 
 
 def info_in(log: CorrectionLog, status: Int[Array, ""], action_size: int) -> Info:
     """The same of one lane's log, as part of a program."""
     logged = jnp.arange(action_size) < log.count
-    place = jnp.where(logged, log.where[:action_size, 2], action_size)  # behind the last one: dropped
+    place = jnp.where(logged, log.moments[:action_size, 2], action_size)  # behind the last one: dropped
     numbers = jnp.full((action_size, 3), jnp.nan).at[:, 0].set(0.0)
     numbers = numbers.at[place].set(log.values[:action_size], mode="drop")
     flags = jnp.zeros((action_size, 3), bool).at[place].set(log.outcome[:action_size], mode="drop")

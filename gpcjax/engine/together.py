@@ -58,8 +58,8 @@ def correct_together(block: Lane, advice: Float[Array, "action lanes"]) -> Lane:
             done = jax.vmap(partial(of_dimension, dimension=number))(info)
             counted = due & (which == 0) & (advice[number] != 0)
             tally = count_corrections(tally, places, _only(done, due), counted)
-            where = block.episode, block.env.time, jnp.full_like(places, number)
-            log = log_correction(log, places, done, where, counted)
+            moment = block.episode, block.env.time, jnp.full_like(places, number)
+            log = log_correction(log, places, done, moment, counted)
         ended = jnp.where(goes_on(learner, info), jnp.int32(Status.OK), info.status)
         return states, tally, log, jnp.where(due, jnp.maximum(status, ended), status)
 

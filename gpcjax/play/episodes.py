@@ -46,8 +46,8 @@ def moments(world: World, player: Player, episode: int) -> Iterator[Moment]:
 
 
 @under_own_settings
-def _action(player: Player, obs: Float[np.ndarray, " obs"], where: str) -> Float[np.ndarray, " action"]:
+def _action(player: Player, obs: Float[np.ndarray, " obs"], moment: str) -> Float[np.ndarray, " action"]:
     action = np.asarray(player.act(obs), np.float64)
     if not np.isfinite(action).all():
-        raise UserError(f"{player.who}: {where}: its action is no number")
+        raise UserError(f"{player.who}: {moment}: its action is no number")
     return action.clip(-1.0, 1.0)

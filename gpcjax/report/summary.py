@@ -124,8 +124,8 @@ class Summary:
 
     def __repr__(self) -> str:
         runs = sum(group.runs for group in self.study.groups)
-        where = f", {self.files[0].parent}" if self.files else ""
-        return f"<report on {self.study.env}: {len(self.rows)} groups, {runs} runs{where}>"
+        folder = f", {self.files[0].parent}" if self.files else ""
+        return f"<report on {self.study.env}: {len(self.rows)} groups, {runs} runs{folder}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""

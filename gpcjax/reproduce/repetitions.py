@@ -107,7 +107,7 @@ def _unconverged(lane: Lane) -> tuple[float, float]:
     target = jax.vmap(expert, in_axes=-1, out_axes=-1)(observations.T)[0]
     far = np.abs(np.clip(np.asarray(seen["policy"]), -1.0, 1.0) - np.asarray(target)) > DELTA
     sigma = np.asarray(seen["sigma_human"])
-    return tuple(float(sigma[where].mean()) if where.any() else np.nan for where in (far, ~far))  # pyright: ignore[reportReturnType]
+    return tuple(float(sigma[mask].mean()) if mask.any() else np.nan for mask in (far, ~far))  # pyright: ignore[reportReturnType]
 
 
 @eqx.filter_jit

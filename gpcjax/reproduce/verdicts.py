@@ -164,9 +164,13 @@ class Claim:
             return word
         parts = []
         for each in _OF_A_TEST:
-            where = [condition for condition, verdict in verdicts.items() if verdict == each]
-            if where:
-                named = ", ".join(where) if len(where) <= most_named else f"{len(where)} of {len(verdicts)}"
+            conditions = [condition for condition, verdict in verdicts.items() if verdict == each]
+            if conditions:
+                named = (
+                    ", ".join(conditions)
+                    if len(conditions) <= most_named
+                    else f"{len(conditions)} of {len(verdicts)}"
+                )
                 parts.append(f"{each} at {named}")
         return "; ".join(parts)
 

@@ -188,8 +188,8 @@ def _difference(there: Path, here: Path) -> str:
     old, new = (path.read_text(errors="replace").splitlines() for path in (there, here))
     for line in difflib.unified_diff(old, new, n=0, lineterm=""):
         if line[:1] in "+-" and line[:3] not in ("+++", "---"):
-            where = "it alone has" if line[0] == "-" else "it lacks"
-            return f"{where} {line[1:].strip()!r}"
+            side = "it alone has" if line[0] == "-" else "it lacks"
+            return f"{side} {line[1:].strip()!r}"
     return "in the ends of lines"
 
 

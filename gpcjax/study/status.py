@@ -49,7 +49,7 @@ def status(out: Path) -> str:
     for one in people:
         line = line_of(one)
         done, of = line["runs"]
-        where = line["step"] or line["why"]
+        present = line["step"] or line["why"]
         seen = line["seen"][:19].replace("T", " ")
         rows.append(
             (
@@ -57,7 +57,7 @@ def status(out: Path) -> str:
                 line["code"],
                 line["state"],
                 f"{done}/{of}",
-                where,
+                present,
                 line["arm"],
                 line["order"],
                 seen,

@@ -117,8 +117,8 @@ def _modules(names: Iterable[str]) -> list[Path]:
 
 def _origin(top: str, path: list[str] | None = None) -> Path | None:
     """File or folder of a module, found without importing it; None for what is installed, or nowhere."""
-    where = [*sys.path, os.getcwd()] if path is None else path
-    spec = importlib.machinery.PathFinder.find_spec(top, where)
+    folders = [*sys.path, os.getcwd()] if path is None else path
+    spec = importlib.machinery.PathFinder.find_spec(top, folders)
     if spec is None or spec.origin in (None, "built-in", "frozen"):
         return None
     origin = Path(spec.origin)

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
+from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
 from gpcjax.sweep.keeping import KeptRow
@@ -41,7 +42,7 @@ class CellRows:
     episodes: dict[str, np.ndarray]
     """The measurements of `gpcjax.engine.lanes.EpisodeRows`, [e] each."""
     corrections: dict[str, np.ndarray]
-    """`where`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
+    """`moments`, `values` and `outcome` of `gpcjax.engine.lanes.CorrectionLog`, [n, 3] each."""
     own: Mapping[str, np.ndarray] = field(default_factory=dict)
     """What the learner measures besides, [e] each."""
     kept: tuple[KeptRow, ...] = ()
@@ -75,7 +76,7 @@ def counts_of(rows: Sequence[CellRows]) -> dict[str, tuple[int, ...]]:
     """How many rows of each of these tables are of each cell."""
     counts = {
         EPISODES: tuple(len(row.episode) for row in rows),
-        CORRECTIONS: tuple(len(row.corrections["where"]) for row in rows),
+        CORRECTIONS: tuple(len(row.corrections["moments"]) for row in rows),
         KEPT: tuple(len(row.kept) for row in rows),
     }
     return {folder: each for folder, each in counts.items() if folder != KEPT or any(each)}
@@ -128,17 +129,17 @@ def _episodes(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Array]]
 
 def _corrections(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Array]]:
     joined = _joined([row.corrections for row in rows])
-    where, values, outcome = joined["where"], joined["values"], joined["outcome"]
+    moments, values, outcome = joined["moments"], joined["values"], joined["outcome"]
     columns = {
-        "episode": pa.array((where[:, 0] + 1).astype(np.int32)),
-        "step": pa.array(where[:, 1].astype(np.int32)),
-        "action_dim": pa.array(where[:, 2].astype(np.int32)),
+        "episode": pa.array((moments[:, 0] + 1).astype(np.int32)),
+        "step": pa.array(moments[:, 1].astype(np.int32)),
+        "action_dim": pa.array(moments[:, 2].astype(np.int32)),
         "rate": pa.array(values[:, 0]),
         "sigma_policy": pa.array(values[:, 1], mask=np.isnan(values[:, 1])),
         "sigma_human": pa.array(values[:, 2], mask=np.isnan(values[:, 2])),
         **{name: pa.array(outcome[:, i]) for i, name in enumerate(("appended", "replaced", "full"))},
     }
-    return [len(row.corrections["where"]) for row in rows], columns
+    return [len(row.corrections["moments"]) for row in rows], columns
 
 
 def _kept(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Array]]:
@@ -166,6 +167,11 @@ def _table(
         name: repeated([getattr(row.cell, name) for row in rows], kind)
         for name, kind in zip(IDENTITY, _KINDS, strict=True)
     }
+    own = {name for row in rows for name in row.own}
+    if twice := own.intersection(varying):
+        raise UserError(
+            f"{min(twice)}: one learner measures it and it is a setting of another, give it another name"
+        )
     settings = {
         correction_column(name) if name in columns else name: repeated(
             [setting_of(row.cell, name) for row in rows], pa.float64()

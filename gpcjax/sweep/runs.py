@@ -99,7 +99,7 @@ def rows_of(cell: Cell, lane: Lane) -> CellRows:
     )
     logged = int(lane.log.count)
     corrections = {
-        name: np.asarray(getattr(lane.log, name))[:logged] for name in ("where", "values", "outcome")
+        name: np.asarray(getattr(lane.log, name))[:logged] for name in ("moments", "values", "outcome")
     }
     return CellRows(
         cell=cell, episode=began + 1, status=status, episodes=episodes, corrections=corrections, own=own

@@ -115,9 +115,9 @@ class Tally:
     def log(self) -> dict[str, np.ndarray]:
         """The first corrections of the finished episodes, as `CorrectionLog` has them."""
         kept = [entry for entry in self._log if entry[0][0] < len(self.finished)][:LOGGED_CORRECTIONS]
-        where, values, outcome = zip(*kept, strict=True) if kept else ((), (), ())
+        moments, values, outcome = zip(*kept, strict=True) if kept else ((), (), ())
         return {
-            "where": np.array(where, int).reshape(-1, 3),
+            "moments": np.array(moments, int).reshape(-1, 3),
             "values": np.array(values, float).reshape(-1, 3),
             "outcome": np.array(outcome, bool).reshape(-1, 3),
         }

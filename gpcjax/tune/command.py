@@ -151,7 +151,7 @@ def _wishes(
     as_json: bool,
 ) -> Wishes:
     value = {name: each.value for name, each in own.items()}
-    where, method, with_method = (
+    searched, method, with_method = (
         look.value,
         value["method"],
         f"with {own['method'].source} {own['method'].value}",
@@ -160,12 +160,12 @@ def _wishes(
         if name in given:
             raise UserError(f"{given[name].source}: a search has none, leave it out")
     if method == "mll":
-        if where:
+        if searched:
             raise UserError(f"{look.source}: {with_method} all is fitted that can be, leave it out")
         base = _base_of_runs(given, own["runs"], with_method)
         which = {**which, **({"algo": given["algo"].value[0]} if "algo" in given else {})}
     else:
-        if not where:
+        if not searched:
             raise UserError(f"no search: give {look.source} {space.FORM}, once for each setting")
         if which:
             raise UserError("--where: it says which runs of --method mll, leave it out")
@@ -182,7 +182,7 @@ def _wishes(
     wishes = Wishes(
         method=method,
         base=base,
-        space=where,
+        space=searched,
         objectives=names_of(*own["objective"]),
         trials=value["trials"],
         batch=value["batch"],

@@ -66,14 +66,14 @@ def _history(axis: Axes, told: tuple[Told, ...], objective: Objective) -> None:
 
 
 def _slice(axis: Axes, found: Found, name: str) -> None:
-    where = found.space[name]
+    domain = found.space[name]
     for points, colour in _kinds(found):
         axis.plot(
             [each.point[name] for each in points], [each.scores[0] for each in points], color=colour, **POINT
         )
     axis.plot(found.best.point[name], found.best.scores[0], color=OF_BEST, **STAR)
-    ends = where.ends
-    if where.log if isinstance(where, Range) else min(ends) > 0 and max(ends) >= 5 * min(ends):
+    ends = domain.ends
+    if domain.log if isinstance(domain, Range) else min(ends) > 0 and max(ends) >= 5 * min(ends):
         _by_factors(axis, max(ends) / min(ends))
     axis.set_xlabel(words.math_symbol(name))
     axis.set_ylabel(_label(found.objectives[0]))

@@ -108,19 +108,19 @@ def _number(word: str, source: str) -> float:
 
 def grid_of(space: Space) -> dict[str, tuple[float, ...]]:
     """The lists of a grid. Raises UserError for a range, which is no list."""
-    for name, where in space.items():
-        if isinstance(where, Range):
+    for name, domain in space.items():
+        if isinstance(domain, Range):
             raise UserError(
                 f"search {name}: a grid needs values: give {name}=A,B,C, or --method tpe for a range"
             )
-    return {name: where.ends for name, where in space.items()}
+    return {name: domain.ends for name, domain in space.items()}
 
 
 def corners(space: Space) -> list[dict[str, float]]:
     """Points with all the extreme values: what they allow, all points between do."""
-    longest = max(len(where.ends) for where in space.values())
+    longest = max(len(domain.ends) for domain in space.values())
     return [
-        {name: where.ends[min(place, len(where.ends) - 1)] for name, where in space.items()}
+        {name: domain.ends[min(place, len(domain.ends) - 1)] for name, domain in space.items()}
         for place in range(longest)
     ]
 
@@ -128,18 +128,18 @@ def corners(space: Space) -> list[dict[str, float]]:
 def as_json(space: Space) -> dict[str, Any]:
     """As `tune.json` holds it."""
     return {
-        name: list(where.values) if isinstance(where, Values) else [where.low, where.high, where.log]
-        for name, where in space.items()
+        name: list(domain.values) if isinstance(domain, Values) else [domain.low, domain.high, domain.log]
+        for name, domain in space.items()
     }
 
 
 def at_edge(space: Space, point: Mapping[str, float]) -> list[str]:
     """Settings whose value lies at an end of their range, within a hundredth of it: a wider one may hold a better."""
     found = []
-    for name, where in space.items():
-        if isinstance(where, Range):
-            scale = math.log if where.log else float
-            low, high, value = (scale(number) for number in (where.low, where.high, point[name]))
+    for name, domain in space.items():
+        if isinstance(domain, Range):
+            scale = math.log if domain.log else float
+            low, high, value = (scale(number) for number in (domain.low, domain.high, point[name]))
             if min(value - low, high - value) < 0.01 * (high - low):
                 found.append(name)
     return found

@@ -72,7 +72,7 @@ class Trials:
         self._seed, self._startup = seed, startup
         self._handles: dict[int, Any] = {}
         """Optuna's trials by number."""
-        self._distributions = {name: _distribution(optuna, where) for name, where in space.items()}
+        self._distributions = {name: _distribution(optuna, domain) for name, domain in space.items()}
         path = folder / DATABASE
         try:
             storage = optuna.storages.RDBStorage(f"sqlite:///{path}", heartbeat_interval=None)
@@ -172,10 +172,10 @@ class Trials:
             self._study.tell(trial.number, state=state.PRUNED)
 
 
-def _distribution(optuna: Any, where: Any) -> Any:
-    if isinstance(where, Range):
-        return optuna.distributions.FloatDistribution(where.low, where.high, log=where.log)
-    return optuna.distributions.CategoricalDistribution(where.values)
+def _distribution(optuna: Any, domain: Any) -> Any:
+    if isinstance(domain, Range):
+        return optuna.distributions.FloatDistribution(domain.low, domain.high, log=domain.log)
+    return optuna.distributions.CategoricalDistribution(domain.values)
 
 
 def _floats(point: Mapping[str, Any]) -> dict[str, float]:

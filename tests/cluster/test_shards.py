@@ -106,7 +106,7 @@ def stored(cell):
         "returns length corrections rate_sum asked chance_sum policy_points human_points clipped full".split()
     )
     episodes = {name: np.array([float(cell.seed)]) for name in names}
-    corrections = {name: np.zeros((0, 3)) for name in ("where", "values", "outcome")}
+    corrections = {name: np.zeros((0, 3)) for name in ("moments", "values", "outcome")}
     return CellRows(cell, np.array([1]), ["ok"], episodes, corrections)
 
 

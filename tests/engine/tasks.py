@@ -183,7 +183,7 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
         "chance_sum",
     )
     rows = {name: np.zeros(episodes) for name in names}
-    log: dict[str, list] = {"where": [], "values": [], "outcome": []}
+    log: dict[str, list] = {"moments": [], "values": [], "outcome": []}
     status = Status.OK
     for episode in range(episodes):
         at, teacher = reset(env, streams.start_key(seed, episode)), given
@@ -209,7 +209,7 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
                 if status == Status.FULL and learner.on_full == "drop":
                     status = Status.OK
                 for i in np.flatnonzero(np.asarray(h)):
-                    log["where"].append((episode, step, i))
+                    log["moments"].append((episode, step, i))
                     log["values"].append(
                         [values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)]
                     )

@@ -88,7 +88,7 @@ def test_a_full_dictionary_ends_the_run_with_its_last_step_counted():
     agrees(lane, expected)
     assert lane.status == Status.FULL
     last = np.flatnonzero(lane.rows.length).max()
-    episode, step, _ = lane.log.where[lane.log.count - 1]
+    episode, step, _ = lane.log.moments[lane.log.count - 1]
     assert (last, lane.rows.length[last]) == (episode, step + 1)
     assert not lane.rows.length[last + 1 :].any()
     np.testing.assert_allclose(lane.rows.returns[last], expected.rows["returns"][last], rtol=1e-9)

@@ -105,7 +105,7 @@ def teach(env, start, tier, episodes=EPISODES):
         credit = [(start.credit.first + i, float(w)) for i, w in enumerate(start.credit.weights)]
     state = learner.resize(learner.init(), tier.policy_capacity, tier.human_capacity)
     rows = {name: np.zeros(episodes) for name in COLUMNS.split()}
-    log = {"where": [], "values": [], "outcome": []}
+    log = {"moments": [], "values": [], "outcome": []}
     mind = Mind(teacher)
     for episode in range(episodes):
         at, path = reset(env, streams.start_key(start.seed, episode)), []
@@ -126,7 +126,7 @@ def teach(env, start, tier, episodes=EPISODES):
                 rows["full"][episode] += info.full.sum()
                 for i in np.flatnonzero(h) if back == credit[0][0] else ():
                     rows["corrections"][episode] += 1
-                    log["where"].append((episode, place[2], i))
+                    log["moments"].append((episode, place[2], i))
                     log["values"].append([info.rate[i], info.sigma_policy[i], info.sigma_human[i]])
                     log["outcome"].append([info.appended[i], info.replaced[i], info.full[i]])
             rows["clipped"][episode] += (np.abs(proposed) > 1.0).any()
@@ -207,7 +207,7 @@ def test_on_the_host():
         agrees(lane, expected)
         assert (lane.memory.steps, lane.memory.attending) == (mind.seen, mind.attends)
         # Nothing is said, nor learned, of what was before the first step.
-        assert lane.log.where[: lane.log.count, 1].min() >= 2 and lane.log.count > 20
+        assert lane.log.moments[: lane.log.count, 1].min() >= 2 and lane.log.count > 20
 
 
 class Counting(Teacher):

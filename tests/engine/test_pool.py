@@ -53,14 +53,14 @@ class Bits:
         first, second = together[0], together[1]
         for name in ("returns", "corrections"):
             assert (getattr(first.rows, name) != getattr(second.rows, name)).any()
-        assert (first.log.where[:10] != second.log.where[:10]).any()
+        assert (first.log.moments[:10] != second.log.moments[:10]).any()
         assert not (first.log.values[:10] == second.log.values[:10])[:, 0].all()
 
     def test_a_seed_means_the_same_coins_for_every_teacher(self, together):
         """Advice comes only where the coin of (seed, episode, step, dimension) is below the chance."""
         for each in starts(self.algo):
             log = together[each.name].log
-            for episode, step, dimension in log.where[: log.count]:
+            for episode, step, dimension in log.moments[: log.count]:
                 drawn = coins(each.seed, int(episode), int(step), 2)
                 assert drawn[dimension] < each.teacher.rate
 

@@ -24,7 +24,7 @@ def agrees(lane, expected, tolerance=TOLERANCE):
     assert lane.status == expected.status
     for name, values in expected.rows.items():
         np.testing.assert_allclose(getattr(lane.rows, name), values, atol=tolerance, rtol=0, err_msg=name)
-    assert lane.log.count == len(expected.log["where"])
+    assert lane.log.count == len(expected.log["moments"])
     for name, values in expected.log.items():
         got = getattr(lane.log, name)
         np.testing.assert_allclose(got[: len(values)], values, atol=tolerance, rtol=0, err_msg=name)
@@ -206,6 +206,6 @@ def test_a_correction_that_is_not_finite_stops_the_run_there():
     each = dataclasses.replace(each, learner=infinite)
     lane = run(make_pool(RECORDED, each, (Tier(1, 1, 8),)), [each])[0]
     assert lane.status == Status.NON_FINITE
-    assert lane.rows.length[0] == lane.log.where[0, 1] + 1 and np.isnan(lane.rows.returns[0])
+    assert lane.rows.length[0] == lane.log.moments[0, 1] + 1 and np.isnan(lane.rows.returns[0])
     assert not lane.rows.length[1:].any() and not lane.controller.weights.any()
     assert lane.rows.corrections[0] == 0 < lane.log.count and not lane.log.values[0, 0].any()

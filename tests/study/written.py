@@ -33,7 +33,11 @@ def write_run(participant, run, returns):
         "rate_sum": np.full(count, 0.3),
         "chance_sum": np.zeros(count),
     }
-    log = {"where": np.zeros((1, 3), int), "values": np.full((1, 3), 0.1), "outcome": np.zeros((1, 3), bool)}
+    log = {
+        "moments": np.zeros((1, 3), int),
+        "values": np.full((1, 3), 0.1),
+        "outcome": np.zeros((1, 3), bool),
+    }
     write_rows(folder, course, numbers | episodes, {}, log)
 
 

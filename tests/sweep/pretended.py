@@ -22,7 +22,7 @@ def rows(cell, episodes=3, corrections=2, status="ok", kept=False) -> CellRows:
     measured |= {"asked": 2 * counts, "chance_sum": 0.25 * counts}
     sigmas = [np.nan, np.nan] if cell.algo == "coach" else [0.2, 0.3]
     log = {
-        "where": np.array([[0, step, 0] for step in range(corrections)], np.int32).reshape(-1, 3),
+        "moments": np.array([[0, step, 0] for step in range(corrections)], np.int32).reshape(-1, 3),
         "values": np.array([[mark, *sigmas]] * corrections).reshape(-1, 3),
         "outcome": np.array([[True, False, False]] * corrections, bool).reshape(-1, 3),
     }

@@ -467,7 +467,7 @@ def test_the_rows_of_a_lane():
     measured = {field.name: length for field in dataclasses.fields(EpisodeRows) if field.name != "own"}
     measured["returns"] = np.array([1.0, np.nan, 0.0])
     log = {
-        "where": np.arange(3 * LOGGED_CORRECTIONS).reshape(-1, 3),
+        "moments": np.arange(3 * LOGGED_CORRECTIONS).reshape(-1, 3),
         "values": np.ones((LOGGED_CORRECTIONS, 3)),
     }
     lane = _of(
@@ -482,7 +482,7 @@ def test_the_rows_of_a_lane():
     assert got.episode.tolist() == [1, 2] and got.status == ["ok", "non-finite"]
     assert all(got.episodes[name].tolist() == [5, 7] for name in measured if name != "returns")
     assert got.own["weight"].tolist() == [0.5, 0.25]
-    assert got.corrections["where"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert got.corrections["moments"].tolist() == [[0, 1, 2], [3, 4, 5]]
 
     # A start that is no number: an episode without a step, but a row that tells of it.
     lane.rows.length[1] = 0

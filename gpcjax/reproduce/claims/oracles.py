@@ -41,7 +41,7 @@ def _outperforms(
     pair: tuple[str, str],
     error: float,
     names: Sequence[str],
-    where: str,
+    oracles: str,
     section: str,
 ) -> Claim:
     deltas = unique(group.point.get("delta") for group in experiment.study.groups)
@@ -53,7 +53,7 @@ def _outperforms(
     first, second = map(words.algorithm, pair)
     return Claim(
         section,
-        f"{first} outperforms {second} at {words.percent(error)} error: {where}",
+        f"{first} outperforms {second} at {words.percent(error)} error: {oracles}",
         f"{first} - {second} in area, above 0, for each oracle and each distance delta within which it is silent",
         tuple(tests),
         tuple(names),
