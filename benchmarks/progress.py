@@ -51,7 +51,7 @@ KINDS = (
     Kind("one process, cold", "sweep --env pendulum --algo gpc-ns --seeds 80 --jobs 1", cold=True),
     Kind("a grid", "grid --env mountaincar --algo gpc,gpc-ns --human-length-scale 0.05,0.1,0.2 --seeds 80"),
     Kind(
-        "large dictionaries", "sweep --env cartpole --algo gpc --no-sparsify --seeds 600 --max-capacity 2048"
+        "large dictionaries", "sweep --env cartpole --algo gpc --no-sparsify --seeds 600 --max-capacity 512"
     ),
     Kind(
         "states are kept",

@@ -24,6 +24,9 @@ UNLIKE = 0.1
 LATE = 0.25
 """What is late takes as much longer, as a part of the time since it began."""
 
+AT_FIRST = 0.4
+"""Seconds that a worker takes with a new program beside its compilation and its blocks."""
+
 MEASURED = 0.4
 """How far off what is left usually is by the pace so far, as a part of it."""
 
@@ -146,7 +149,8 @@ def _left(work: Work, speed: float) -> Left:
     if by_pace is None:
         by_pace = _shared(work, work.seconds * (1 - work.done) / work.done)
     else:  # beside its blocks a worker takes lanes out, and hands in rows
-        beside = max(work.seconds / max(work.paces.seconds, 1e-9), 1.0)
+        others = work.seconds - work.paces.seconds - AT_FIRST * work.joined
+        beside = 1.0 + max(others, 0.0) / max(work.paces.seconds, 1e-9)
         by_pace = Left(beside * by_pace.bound, beside * by_pace.free)
     seconds = sum(by_pace)
     if not work.before or not seconds:

@@ -5,7 +5,7 @@ one, so that those which take longest come last; and a block takes as long with 
 """
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from gpcjax.engine.pace import Pace
@@ -15,6 +15,9 @@ FADES = 0.9
 
 SLOWER = 2.5
 """How much longer an episode takes in a tier that has not run yet than in the one before: a guess, until it has."""
+
+GROWS = 0.3
+"""Part of what runs have to do in a tier that they do in the next one, where others went before."""
 
 
 class Left(NamedTuple):
@@ -100,14 +103,8 @@ class Paces:
         tiers = self._tiers()
         if not begun or not any(tier.episodes for tier in tiers):
             return None
-        bound, lane_seconds, one, each = 0.0, 0.0, 0.0, 0.0
-        for number, tier in enumerate(tiers):
-            if tier.recent_episodes >= 1.0:
-                each = tier.recent_lane_seconds / tier.recent_episodes
-            elif tier.episodes:
-                each = tier.lane_seconds / tier.episodes
-            elif number:
-                each *= SLOWER
+        bound, lane_seconds, one = 0.0, 0.0, 0.0
+        for number, (tier, each) in enumerate(zip(tiers, _by_episode(tiers), strict=True)):
             left = sum(pace.left for pace in tier.now)
             mean = (tier.lane_seconds + left * each) / begun
             one += mean
@@ -123,7 +120,7 @@ class Paces:
         return [*([self._past] if self._past else []), *self._now.values()]
 
     def _tiers(self) -> list[_Tier]:
-        found = []
+        found: list[_Tier] = []
         columns = itertools.zip_longest(*self._all(), fillvalue=Pace(0))
         now = list(itertools.zip_longest(*self._now.values(), fillvalue=Pace(0)))
         for number, column in enumerate(columns):
@@ -137,3 +134,20 @@ class Paces:
                 )
             )
         return found
+
+
+def _by_episode(tiers: Sequence[_Tier]) -> list[float]:
+    """Seconds that an episode of a lane in each tier takes, of which some will be in the next one."""
+    here: list[float] = []
+    for tier in tiers:
+        if tier.recent_episodes >= 1.0:
+            here.append(tier.recent_lane_seconds / tier.recent_episodes)
+        elif tier.episodes:
+            here.append(tier.lane_seconds / tier.episodes)
+        else:
+            here.append(SLOWER * here[-1] if here else 0.0)
+    used = [bool(tier.episodes or tier.now) for tier in tiers]
+    return [
+        (1 - GROWS) * each + GROWS * later if goes_on else each
+        for each, later, goes_on in zip(here, [*here[1:], 0.0], [*used[1:], False], strict=True)
+    ]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from gpcjax.registry import find
 from gpcjax.sweep import costs
-from gpcjax.sweep.experience import COMPILED_FROM, FROM_CACHE, LEAST_DONE, Cost
+from gpcjax.sweep.experience import COMPILED_FROM, FROM_CACHE, FROM_TEXT, LEAST_DONE, Cost
 from gpcjax.sweep.paces import Paces
 from gpcjax.sweep.plan import Program
 
@@ -115,12 +115,10 @@ class Work:
             return None
         share = min(self.processor_seconds / self.heard_seconds, 1.0) if self.heard_seconds > 1.0 else 1.0
         compiling = share * self.compile_seconds / self.joined
-        # Somebody else's code is traced anew, and may be found in XLA's own cache then, which takes less.
-        anew = self.compilations and self.compile_seconds / self.compilations > COMPILED_FROM
-        cells = round(self.cells * self.done)
-        return Cost(
-            share * self.seconds / self.done_episodes, FROM_CACHE * compiling if anew else compiling, cells
-        )
+        if self.compilations:  # the next time they are kept
+            anew = self.compile_seconds / self.compilations > COMPILED_FROM
+            compiling *= FROM_CACHE if anew else FROM_TEXT
+        return Cost(share * self.seconds / self.done_episodes, compiling, round(self.cells * self.done))
 
     @property
     def steps_left(self) -> float:

@@ -17,7 +17,7 @@ from gpcjax.sweep.crowd import Crowd
 from gpcjax.sweep.estimate import overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
-from gpcjax.sweep.paces import SLOWER, Paces
+from gpcjax.sweep.paces import GROWS, SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
@@ -207,33 +207,40 @@ class TestPaces:
         Pace(2, seconds=6.0, lane_seconds=12.0, episodes=12, left=4, longest=2),
         Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1, left=3, longest=3),
     )
+    FIRST = (1 - GROWS) * 1.0 + GROWS * 3.0
+    """Seconds of an episode of a lane in the first tier, that goes on to the next."""
 
     def test_those_in_larger_tiers_take_longer(self):
         paces = Paces()
         assert paces.left(begun=5, free=0) is None
         paces.take(0, self.PACES)
-        # Two episodes of two lanes side by side, and three of a lane that has its block alone.
-        assert paces.left(begun=5, free=0) == (2.0 + 9.0, 0.0)
+        # Two episodes of two lanes side by side, some of them in the next tier, and three of a lane that has its
+        # block alone.
+        assert paces.left(begun=5, free=0) == (pytest.approx(2.0 * self.FIRST + 9.0), 0.0)
         assert paces.seconds == 9.0
 
     def test_runs_to_come_are_like_those_that_have_begun(self):
         paces = Paces()
         paces.take(0, self.PACES)
         bound, free = paces.left(begun=4, free=4)
-        lanes = (12.0 + 4.0) / 4, (3.0 + 9.0) / 4
-        assert bound == 11.0 and free == pytest.approx(sum(4 * each / 2 for each in lanes) + sum(lanes) / 2)
+        lanes = (12.0 + 4.0 * self.FIRST) / 4, (3.0 + 9.0) / 4
+        assert bound == pytest.approx(2.0 * self.FIRST + 9.0)
+        assert free == pytest.approx(sum(4 * each / 2 for each in lanes) + sum(lanes) / 2)
 
     def test_a_tier_that_has_not_run_yet_is_slower_than_the_one_before(self):
         paces = Paces()
         paces.take(0, (self.PACES[0], Pace(2, left=1, longest=1)))
-        assert paces.left(begun=4, free=0) == (2.0 + SLOWER, 0.0)
+        first = (1 - GROWS) + GROWS * SLOWER
+        assert paces.left(begun=4, free=0) == (pytest.approx(2.0 * first + SLOWER), 0.0)
 
     def test_who_leaves_takes_nothing_along(self):
         paces = Paces()
         paces.take(0, self.PACES)
         paces.take(1, self.PACES)
         paces.leave(1)
-        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx((11.0, 0.0))
+        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx(
+            (2.0 * self.FIRST + 9.0, 0.0)
+        )
 
     def test_what_was_expected_counts_until_the_pace_is_known(self):
         """A program that took 30 s the last time, of which the first quarter came in 2 s: its later runs are longer."""
@@ -430,7 +437,7 @@ class TestExperience:
         work.compilations = 2
         assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_CACHE, 60)
         work.compilations = 10
-        assert work.took == Cost(30.0 / work.done_episodes, 4.0, 60)
+        assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_TEXT, 60)
 
     def test_few_cells_tell_what_many_take(self):
         """Those of few keep a block half empty; the more there were then, the more they are believed."""
