@@ -17,7 +17,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,11 @@ ACTING = {
 
 OURS = ("-m", "benchmarks.calls")
 
+IN_A_ROW = 25
+
+INLINE = {"JAX_CPU_ENABLE_ASYNC_DISPATCH": "0"}
+"""Programs are run by who calls them (`docs/python.md`)."""
+
 
 def firsts(algo: str, warm: bool) -> dict[str, float]:
     """Seconds of what compiles when it comes first; `warm` compiles it beforehand."""
@@ -75,7 +80,11 @@ def firsts(algo: str, warm: bool) -> dict[str, float]:
 
 
 def calls(algo: str, points: int, repetitions: int) -> dict[str, list[float]]:
-    """Seconds of each call with a learner of so many points, until its result is there."""
+    """Seconds of each call with a learner of so many points, until its result is there.
+
+    Kinds come in turn, `IN_A_ROW` calls of each: a loop of one's own calls the same again and again. Before a
+    correction that is given the state (donate) there is a copy of it, which is not timed.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -87,10 +96,6 @@ def calls(algo: str, points: int, repetitions: int) -> dict[str, list[float]]:
         state, _ = learner.correct(state, 3.0 * rng.normal(size=4), [0.1], [1])
     policy, spare = learner.policy_of(state), state
 
-    def copied() -> None:
-        nonlocal spare
-        spare = jax.block_until_ready(jax.tree.map(jnp.copy, state))
-
     kinds: dict[str, Callable[[Any], Any]] = {
         "act": lambda obs: learner.act(state, obs),
         "policy": policy,
@@ -98,14 +103,15 @@ def calls(algo: str, points: int, repetitions: int) -> dict[str, list[float]]:
         "correct, donate": lambda obs: learner.correct(spare, obs, [0.1], [1], donate=True),
     }
     found: dict[str, list[float]] = {name: [] for name in kinds}
-    for repetition in range(repetitions + 3):
-        obs = 3.0 * rng.normal(size=4)
+    for repetition in range(-1, -(-repetitions // IN_A_ROW)):
         for name, call in kinds.items():
-            copied()
-            began = time.perf_counter()
-            jax.block_until_ready(call(obs))
-            if repetition >= 3:  # the first ones compile
-                found[name].append(time.perf_counter() - began)
+            for obs in 3.0 * rng.normal(size=(IN_A_ROW, 4)):
+                if name == "correct, donate":
+                    spare = jax.block_until_ready(jax.tree.map(jnp.copy, state))
+                began = time.perf_counter()
+                jax.block_until_ready(call(obs))
+                if repetition >= 0:  # the first ones compile
+                    found[name].append(time.perf_counter() - began)
     return found
 
 
@@ -125,10 +131,12 @@ class Stopwatch:
         self._last = now
 
 
-def alone(*words: object) -> dict[str, Any]:
+def alone(*words: object, variables: Mapping[str, str] = {}) -> dict[str, Any]:
     """What Python with these words measures in a process of its own, and how long that process took."""
-    began = time.perf_counter()
-    done = subprocess.run([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, check=True)
+    began, environment = time.perf_counter(), {**os.environ, **variables}
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, check=True, env=environment
+    )
     return {**json.loads(done.stdout), "whole process": time.perf_counter() - began}
 
 
@@ -201,8 +209,10 @@ def main() -> None:
     console.print(table(first))
     called = {}
     for algo in ALGOS:
-        called[algo] = alone(*OURS, "calls", algo, arguments.points, arguments.repetitions)
-        del called[algo]["whole process"]
+        for name, variables in ((algo, {}), (f"{algo}, inline", INLINE)):
+            words = *OURS, "calls", algo, arguments.points, arguments.repetitions
+            called[name] = alone(*words, variables=variables)
+            del called[name]["whole process"]
     console.print(f"with {arguments.points} points: milliseconds, median (99th percentile)")
     console.print(table_of_calls(called))
     record = {

@@ -11,19 +11,28 @@ import os
 import types
 import warnings
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, ParamSpec, TypeVar
 
 import jax
 from jax._src import config
 from jax.core import Tracer
 
-if os.environ.get("JAX_ENABLE_X64", "").lower() in ("0", "f", "false", "n", "no", "off"):
+
+def _is_off(variable: str) -> bool:
+    """Whether this variable of the environment says no, as jax reads such ones."""
+    return os.environ.get(variable, "").lower() in ("0", "f", "false", "n", "no", "off")
+
+
+if _is_off("JAX_ENABLE_X64"):
     warnings.warn(
         "JAX_ENABLE_X64 is off, but gpcjax needs float64: it is switched on for all of this process",
         stacklevel=2,
     )
 jax.config.update("jax_enable_x64", True)
+if _is_off("JAX_CPU_ENABLE_ASYNC_DISPATCH"):  # jax has this setting, and does not look for its variable
+    with suppress(AttributeError):
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 P = ParamSpec("P")
 R = TypeVar("R")

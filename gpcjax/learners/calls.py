@@ -37,9 +37,9 @@ class Called:
         Raises:
             UserError: `state` was given away before.
         """
-        leaves, form = jax.tree.flatten(state)
+        leaves, form, are_arrays = _flat(state)
         learners = _apart(learner)
-        if learners is None or not (_are_arrays(leaves) and _are_arrays(vectors)):
+        if learners is None or not (are_arrays and _are_arrays(vectors)):
             # Part of what jax traces, or something to be refused: where it is traced, as ever.
             return self._otherwise(learner, state, *vectors)
         if leaves and isinstance(leaves[0], jax.Array) and leaves[0].is_deleted():
@@ -75,6 +75,30 @@ def _apart(learner: Any) -> tuple[list[Any], Any] | None:
     found = (leaves, kind) if _are_arrays(leaves) else None
     _known[learner] = found
     return found
+
+
+_last: tuple[Callable[[], Any], list[Any], Any, bool] = (lambda: None, [], None, True)
+"""The last state that was taken apart (a weak reference) and what came of it: a policy acts many times with one."""
+
+
+def _flat(state: Any) -> tuple[list[Any], Any, bool]:
+    """The leaves of a state, its structure, and whether all are arrays that hold numbers."""
+    global _last
+    known, leaves, form, are_arrays = _last
+    if known() is state is not None:
+        return leaves, form, are_arrays
+    leaves, form = jax.tree.flatten(state)
+    are_arrays = _are_arrays(leaves)
+    # Of our own classes, which never change. What is kept of a state goes with it.
+    if are_arrays and isinstance(state, eqx.Module) and type(state).__module__.startswith("gpcjax."):
+        _last = weakref.ref(state, _forget), leaves, form, are_arrays
+    return leaves, form, are_arrays
+
+
+def _forget(gone: Any) -> None:
+    global _last
+    if _last[0] is gone:
+        _last = lambda: None, [], None, True
 
 
 _concrete: set[type] = {np.ndarray}

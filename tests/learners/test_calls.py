@@ -1,6 +1,10 @@
 """Calls from Python: compiled once for each structure, and what is given away is not copied."""
 
 import contextlib
+import os
+import subprocess
+import sys
+import weakref
 
 import equinox as eqx
 import jax
@@ -182,3 +186,38 @@ def test_only_what_factorises_anew_asks_for_it():
     sizes = {"obs_size": 1, "action_size": 1}
     assert make_learner("gpc-ns", **sizes).factorises
     assert not make_learner("gpc", **sizes).factorises and not counting().factorises
+
+
+def test_a_state_that_was_taken_apart_is_not_held():
+    """Its arrays are remembered for the next call with it, and gone with it."""
+    learner = make_learner("gpc", "cartpole", capacity=4)
+    states = [learner.init() for _ in range(2)]
+    states[1], _ = learner.correct(states[1], np.zeros(4), [0.0], [1])
+    for _ in range(3):  # one after the other and in turn, each acts as itself
+        acts = [float(learner.act(state, np.zeros(4))[0]) for state in (*states, *states[::-1])]
+        assert acts[0] == acts[3] == 0.0 and acts[1] == acts[2] > 0.0
+    held = weakref.ref(states[0]), weakref.ref(jax.tree.leaves(states[0])[0])
+    learner.act(states[0], np.zeros(4))
+    del states[0]
+    assert [each() for each in held] == [None, None]
+
+
+def test_a_state_of_ones_own_may_change():
+    """A dict is no value that stays: each call looks at it anew."""
+    learner = Counting(obs_size=2, action_size=1)
+    state = learner.init()
+    assert float(learner.act(state, np.zeros(2))[0]) == 0.0
+    state["total"] = jnp.full(1, 0.5)
+    assert float(learner.act(state, np.zeros(2))[0]) == 0.5
+
+
+@pytest.mark.parametrize("value", ["0", "1"])
+def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(value):
+    """jax has the setting, and does not look for its variable."""
+    code = (
+        "import gpcjax; gpcjax.make_learner; from jax._src import xla_bridge as b; "
+        "print(b._CPU_ENABLE_ASYNC_DISPATCH.value)"
+    )
+    environment = os.environ | {"JAX_CPU_ENABLE_ASYNC_DISPATCH": value}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == [str(value == "1")], done.stderr
