@@ -149,7 +149,7 @@ def test_it_says_what_each_experiment_costs_and_what_came_of_it(
     out = tmp_path / "out"
     reproduce(sweeps, out, ("pendulum", "cartpole"), quick=True, jobs=1)
     lines = capsys.readouterr().err.splitlines()
-    told = "27 runs of 3 episodes, about 20 s where nothing is done yet"
+    told = "27 runs of 3 episodes, about 10 s where nothing is done yet"
     assert f"fig5_1_pendulum, 1 of 2: {told}" in lines and f"fig5_4_cartpole, 2 of 2: {told}" in lines
     assert lines[-1].startswith("Of ") and "are not tested" in lines[-1]
     reproduce(sweeps, out, ("cartpole",), quick=True, jobs=1)
@@ -159,9 +159,9 @@ def test_it_says_what_each_experiment_costs_and_what_came_of_it(
 @pytest.mark.parametrize(
     ("name", "jobs", "told"),
     [
-        ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 50 s where nothing is done yet"),
+        ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 40 s where nothing is done yet"),
         ("fig5_5_lunarlander_ns", 2, "60 runs of 200 episodes, about 22 min where nothing is done yet"),
-        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 13 min where nothing is done yet"),
+        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 12 min where nothing is done yet"),
     ],
 )
 def test_costs_of_whole_experiments(tmp_path, name, jobs, told):

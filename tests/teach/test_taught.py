@@ -100,8 +100,7 @@ def test_what_was_taught_acts_as_a_policy_and_as_an_oracle(lesson):
 def test_a_folder_is_a_teacher(lesson):
     spec = find("teacher", str(lesson.folder))
     assert not spec.needs_expert and spec.action_size == 1
-    table = np.asarray(spec.make().table)
-    assert (table != 0).sum() == lesson.tally.corrections
+    assert (np.asarray(spec.make().given) != 0).sum() == lesson.tally.corrections
     made = spec_of(env=ENV, teacher=str(lesson.folder), oracle="tests.teach.drifting:expert", seeds=1)
     assert plan(made)[0].teacher == str(lesson.folder)
 
