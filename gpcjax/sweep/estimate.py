@@ -157,7 +157,7 @@ def _left(work: Work, speed: float) -> Left:
         return by_pace
     # An expectation that has been wrong so far is not to be trusted either.
     odd = abs(math.log(work.seconds / (whole * work.done)))
-    unlike = abs(math.log(work.before.cells / work.cells)) if work.before.cells else 1.0
+    unlike = abs(math.log(max(work.before.cells, 1) * max(work.joined, 1) / work.cells))
     expected, measured = KNOWN + UNLIKE * unlike + odd * work.done, MEASURED * (1 - work.done)
     trust = expected**2 / (expected**2 + measured**2)
     both = trust * seconds + (1 - trust) * max(whole - work.seconds, 0.0)

@@ -43,7 +43,7 @@ class Cost(NamedTuple):
     compiling: float
     """Until a worker has its programs; from the cache, where they are once they were compiled."""
     cells: int
-    """That these were seen of."""
+    """Of a worker, that these were seen of."""
 
 
 def of(programs: Iterable[Program], folder: Path | None) -> dict[Program, Cost]:

@@ -97,7 +97,8 @@ class Work:
         if find("task", self.env).on_host:
             return self.before.episode
         # Fewer cells leave the block emptier, and longer: the last ones take as long as a full block does.
-        return self.before.episode * _emptiness(self.cells) / _emptiness(self.before.cells)
+        cells = self.cells / max(self.joined, 1)
+        return self.before.episode * _emptiness(cells) / _emptiness(self.before.cells)
 
     @property
     def usual_compiling(self) -> float:
@@ -118,7 +119,8 @@ class Work:
         if self.compilations:  # the next time they are kept
             anew = self.compile_seconds / self.compilations > COMPILED_FROM
             compiling *= FROM_CACHE if anew else FROM_TEXT
-        return Cost(share * self.seconds / self.done_episodes, compiling, round(self.cells * self.done))
+        cells = round(self.cells * self.done / self.joined)
+        return Cost(share * self.seconds / self.done_episodes, compiling, cells)
 
     @property
     def steps_left(self) -> float:
@@ -144,9 +146,9 @@ def works_of(sizes: Mapping[Program, int], before: Mapping[Program, Cost] = {}) 
     }
 
 
-def _emptiness(cells: int) -> float:
-    """How much longer a cell takes than one of very many."""
-    return 1.0 + costs.LANES / max(cells, 1)
+def _emptiness(cells: float) -> float:
+    """How much longer a cell takes than one of very many, where a worker has so many."""
+    return 1.0 + costs.LANES / max(cells, 1.0)
 
 
 def is_seen(work: Work) -> bool:
