@@ -23,7 +23,7 @@ def chosen_of(rows: Rows, spec: SweepSpec) -> Rows:
         keys = frame[[*IDENTITY, *names]].itertuples(index=False, name=None)
         mine = [tuple(None if value != value else value for value in key) in cells for key in keys]
         gone = [name for name, setting in zip(names, before, strict=True) if setting not in now]
-        return frame[mine].drop(columns=gone).reset_index(drop=True)
+        return frame.loc[mine].drop(columns=gone).reset_index(drop=True)
 
     manifest = {name: value for name, value in rows.manifest.items() if name != "asked"}
     manifest |= {
