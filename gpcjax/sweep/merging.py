@@ -2,7 +2,7 @@
 
 A shard's parts say that they are rows of the whole specification, and are what a plain sweep would have written: they
 are checked and copied as they are. The manifest comes last, so that an interrupted merge leaves nothing that looks
-whole, and the same command does it again.
+whole, and the same command does it again, whatever part of it was copied.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,7 +21,7 @@ from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import IDENTITY, cells_of, key_of
-from gpcjax.sweep.runfolder import check_sweep, make_writable
+from gpcjax.sweep.runfolder import check_sweep, clean_parts, make_writable
 from gpcjax.sweep.shards import Shard, held_shard
 from gpcjax.sweep.spec import from_dict
 
@@ -74,9 +74,10 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
     _refuse_gaps(shares, wanted)
     before = _before(out, first)
     if before is None:
-        check_sweep(out, specs[0])
+        check_sweep(out, specs[0], copied=hashes(first))
     make_writable(out)
     with held(out):
+        clean_parts(out)
         stored = _keys(out, first, Found()) if before is not None else {}
         there = set().union(*stored.values())
         for share in shares:
