@@ -175,6 +175,7 @@ def run(
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
+        remove_all(out)  # of a run that was killed when all was there
         return False
 
 

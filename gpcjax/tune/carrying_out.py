@@ -16,7 +16,7 @@ from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import compare_figure, style
 from gpcjax.report.figures.style import Drawing
 from gpcjax.report.run import draw
-from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.atomic import clean, write_atomic
 from gpcjax.sweep.environment import compute_here
 from gpcjax.sweep.executors import Executor, Processes
 from gpcjax.sweep.jsonlines import JsonLines
@@ -83,6 +83,7 @@ def carried_out(wishes: Wishes) -> Result:
     """Searches, judges on other seeds, draws; what was done in the folder is not done again."""
     out = wishes.out
     with held(out), Processes(wishes.jobs) as executor:
+        clean(out, lambda target: target == STATE)
         write_atomic(out / STATE, json.dumps(wishes.told, indent=2) + "\n")
         outcome = _METHODS[wishes.method](wishes, executor)
         best = dataclasses.replace(outcome.tuned, seeds=wishes.check)

@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
+from gpcjax.sweep.atomic import target_of
 from gpcjax.sweep.layout import GIVE_NEW
+from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.options import conditions
 from gpcjax.sweep.plan import count, hash_of
@@ -245,18 +247,21 @@ def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: Given, with_meth
 
 
 def _refuse_another(wishes: Wishes) -> None:
-    """Refuse a folder that is another search's, or something else."""
+    """Refuse a folder that is another search's, or something else than what a kill leaves that has just begun one."""
     path = wishes.out / STATE
     try:
         held = json.loads(path.read_text())
     except FileNotFoundError:
-        if wishes.out.is_dir() and any(wishes.out.iterdir()):
+        names = [path.name for path in wishes.out.iterdir()] if wishes.out.is_dir() else []
+        if any(name != LOCK and target_of(name) != STATE for name in names):
             raise UserError(
                 f"{wishes.out}: this is no folder of a search, and it is not empty, {GIVE_NEW}"
             ) from None
         return
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read ({error}), {GIVE_NEW}") from None
+    if not isinstance(held, dict):
+        raise UserError(f"{path}: this is not what a search has written, {GIVE_NEW}")
     other = [name for name, value in wishes.told.items() if held.get(name) != json.loads(json.dumps(value))]
     if other:
         raise UserError(

@@ -303,6 +303,25 @@ def test_help_offers_what_a_search_has(capsys):
         assert name not in told
 
 
+def test_killed_before_it_said_what_it_is(workers, tmp_path, capsys):
+    """The lock, and a file that was being written: no folder of somebody else's."""
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / ".gpcjax.lock").touch()
+    half = tmp_path / "o" / f".gpcjax-{2**22 + 1}-{12 * 'a'}.tune.json.tmp"
+    half.touch()
+    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 0
+    assert not half.exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "null", "{", '{"method": []}'])
+def test_a_state_that_is_none(workers, tmp_path, capsys, text):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "tune.json").write_text(text)
+    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gpcjax: error: o") and "give a new folder" in line
+
+
 def test_without_optuna_it_is_one_line(workers, capsys, monkeypatch):
     find = carrying_out.__spec__.loader and __import__("importlib.util").util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "optuna" else find(name))
