@@ -15,6 +15,7 @@ from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Processes
+from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
@@ -91,6 +92,34 @@ def test_advice_that_is_none(tmp_path, workers_in_process):
     usual, loud = (rows[rows["loudness"] == loudness] for loudness in (1, 2))
     assert set(usual["status"]) == {"ok"} and (usual["corrections"] > 0).all()
     assert set(loud["status"]) == {"invalid"} and (loud["corrections"] == 0).all()
+
+
+@pytest.mark.slow
+def test_the_usual_learners_in_processes(tmp_path):
+    """Nobody says who learns, and the workers are real: COACH, which has no grid for this task, is not among them."""
+    words = "--env drifting:Drift --oracle drifting:expert --seeds 2 --episodes 2 --jobs 2 --out".split()
+    done = subprocess.run(
+        [sys.executable, "-m", "gpcjax", "sweep", *words, tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{FOREIGN}{os.pathsep}{Path(__file__).parents[1]}"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "gpcjax: drifting:Drift: without coach, which needs lower, upper, counts of" in done.stderr
+    assert sorted(read_episodes(tmp_path / "out")["algo"].unique()) == ["gpc", "gpc-ns"]
+
+
+def test_the_usual_learners():
+    """Those that a task has all for; who is left out is told."""
+    env = {"env": "drifting:Drift", "oracle": "drifting:expert"}
+    assert spec_of(**env).algo == ("gpc", "gpc-ns") and len(left_out("drifting:Drift")) == 1
+    assert spec_of(env="drifting:DRIFT").algo == ("gpc", "gpc-ns", "coach") and not left_out("drifting:DRIFT")
+    assert spec_of(env="drifting:DRIFT", algo="coach").algo == ("coach",)
+    with pytest.raises(
+        UserError, match="algo coach: it needs lower, upper, counts, which drifting:Drift does not give"
+    ):
+        spec_of(**env, algo=["gpc", "coach"])
+    assert make_learner("coach", "drifting:DRIFT").grid.counts == (5, 5)
 
 
 def test_names():
