@@ -322,6 +322,7 @@ BARE = f'exec {sys.executable} -S "$@"'
     "words",
     [
         ("sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
+        ("sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
         ("sweep", "ENV=gym:Pendulum-v1"),
         ("sweep", "ENV=brax:reacher"),
         ("sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),

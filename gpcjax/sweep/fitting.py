@@ -23,7 +23,9 @@ def check_advised(task: TaskSpec, teacher: TeacherSpec, oracle: "Given | None") 
     if oracle is not None:
         for each in oracle.value:
             check_expert(task.name, each, oracle.source)
-    elif not task.experts and not teacher.live:
+    elif task.experts:
+        check_expert(task.name, next(iter(task.experts)), "oracle")
+    elif not teacher.live:
         raise UserError(
             f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
             "(--oracle, or oracle = in the TOML file)"
