@@ -1,5 +1,6 @@
 """A stranger's package is swept by name: its task, its learner, its teacher, among the built-in ones and alone."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import gpcjax
 from gpcjax import registry
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
@@ -120,6 +122,20 @@ def test_the_usual_learners():
     ):
         spec_of(**env, algo=["gpc", "coach"])
     assert make_learner("coach", "drifting:DRIFT").grid.counts == (5, 5)
+
+
+def test_a_teacher_without_an_expert(tmp_path, workers_in_process):
+    """On a task that has none: nobody's return is measured, and all else is there."""
+    settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:HOMEWARD"}
+    for name in ("error", "oracle"):
+        del settings[name]
+    out = sweep(tmp_path / "out", **settings)
+    rows = read_episodes(out)
+    assert set(rows["oracle"]) == {"none"} and rows["corrections"].sum() > 0
+    baselines = json.loads((out / "manifest.json").read_text())["baselines"]
+    assert baselines["oracles"] == {} and baselines["idle"]["n"] == 100
+    gpcjax.draw_report(out)
+    assert "oracle none" in (out / "report.html").read_text()
 
 
 def test_names():

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from gpcjax.envs.host import HostEnv
 
 
+NOBODY = "none"
+"""In the place of an expert's name, where a teacher advises without one on a task that has none."""
+
+
 def task(env_name: Any) -> TaskSpec:
     """The description of a task. Raises UserError for an unknown one."""
     return registry.find("task", env_name)

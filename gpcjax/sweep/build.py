@@ -12,12 +12,13 @@ import numpy as np
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
+from gpcjax.engine.evaluate import idle
 from gpcjax.engine.history import Credit
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
-from gpcjax.envs.registry import expert_names, make_env, make_expert
+from gpcjax.envs.registry import NOBODY, expert_names, make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, State
@@ -130,9 +131,10 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
             cell.teacher, template.teacher, template.learner.obs_size, template.learner.action_size
         )
     on_the_way = keeping is not None and (keeping.every or keeping.best)
+    env = make_env(program.env)
     return Pool(
-        env=make_env(program.env),
-        expert=make_expert(program.env, program.oracle),
+        env=env,
+        expert=idle(env) if program.oracle == NOBODY else make_expert(program.env, program.oracle),
         episodes=program.episodes,
         template=template,
         tiers=_tiers(program),

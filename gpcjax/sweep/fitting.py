@@ -25,7 +25,7 @@ def check_advised(task: TaskSpec, teacher: TeacherSpec, oracle: "Given | None") 
             check_expert(task.name, each, oracle.source)
     elif task.experts:
         check_expert(task.name, next(iter(task.experts)), "oracle")
-    elif not teacher.live:
+    elif teacher.needs_expert:
         raise UserError(
             f"{task.name} has no expert of its own: give the folder of a saved policy, or module:function "
             "(--oracle, or oracle = in the TOML file)"

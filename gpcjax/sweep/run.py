@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.allowed import checked, checked_path
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.blocks import Block
@@ -293,7 +294,7 @@ class _Sweep:
         known = self._manifest["baselines"]
         names = [
             *(["idle"] if known["idle"] is None else []),
-            *(n for n in self._spec.oracle if n not in known["oracles"]),
+            *(n for n in self._spec.oracle if n not in known["oracles"] and n != NOBODY),
         ]
         return [(self._spec.env, name) for name in names]
 

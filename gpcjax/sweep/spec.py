@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
@@ -48,7 +49,10 @@ class SweepSpec:
     episodes: int
     """Episodes of each run."""
     oracle: tuple[str, ...]
-    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`."""
+    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`.
+
+    `NOBODY` alone where the task has none and the teacher wants none.
+    """
     delta: tuple[float, ...]
     """Distances from the target within which the teacher is silent, in units of the action."""
     rate: tuple[float, ...]
@@ -168,7 +172,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
         "algo": algo,
         "episodes": task.episodes,
-        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
+        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1] or (NOBODY,),
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
         **dict.fromkeys(SCALES, ()),

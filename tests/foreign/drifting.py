@@ -38,6 +38,19 @@ DRIFT = gpcjax.TaskSpec(
 )
 
 
+class Homeward(gpcjax.Teacher):
+    """Knows without an expert that it is to go back."""
+
+    def may_advise(self, coins, largest_sigma, step):
+        return coins < 0.3
+
+    def advise(self, coins, moment):
+        return jnp.where(coins < 0.3, -jnp.sign(moment.obs[:1]), 0.0)
+
+
+HOMEWARD = gpcjax.TeacherSpec(name="drifting:HOMEWARD", make=Homeward, needs_expert=False)
+
+
 class Linear(gpcjax.Learner):
     """A linear policy, moved along the observation by each advice."""
 
