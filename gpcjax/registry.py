@@ -12,6 +12,7 @@ A module is looked for where Python looks, and in the present folder. What is im
 fails, its own traceback is kept for the person (`ForeignError.details`).
 """
 
+import dataclasses
 import functools
 import importlib
 import importlib.metadata
@@ -26,6 +27,7 @@ from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.installed import require_set_up
+from gpcjax.making import Maker
 
 Kind = Literal["task", "learner", "teacher"]
 
@@ -46,6 +48,10 @@ _MOST = {
     "learner": "a subclass of gpcjax.Learner, or a function that makes a learner",
     "teacher": "a subclass of gpcjax.Teacher, or a function that makes a teacher",
 }
+
+
+_BASES = {"learner": "gpcjax.learners.base:Learner", "teacher": "gpcjax.teachers.base:Teacher"}
+"""What those of a person's own are subclasses of."""
 
 
 def built_in(kind: Kind) -> tuple[str, ...]:
@@ -113,9 +119,10 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
     Raises:
         UserError: it is nothing of this kind.
     """
-    if isinstance(found, _SPECS[kind]):
-        return found
-    if not callable(found) or isinstance(found, Spec):
+    is_told = isinstance(found, _SPECS[kind])
+    if is_told and not isinstance(found, TaskSpec):
+        return _told_of(kind, name, found)
+    if not is_told and (not callable(found) or isinstance(found, Spec)):
         raise UserError(f"{_WORD[kind]} {name}: {shown(found)} is no {kind}, give {_MOST[kind]}")
     makers = {
         "task": "gpcjax.envs.foreign:task_of",
@@ -123,6 +130,20 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
         "teacher": "gpcjax.teachers.foreign:teacher_of",
     }
     return resolve(makers[kind])(name, found)
+
+
+def _told_of(kind: Kind, name: str, spec: Any) -> Spec:
+    """A person's own description of a learner or a teacher, under the name by which it was asked for."""
+    source = f"{_WORD[kind]} {name}"
+    make = imported(spec.make, source) if isinstance(spec.make, str) else spec.make
+    base = resolve(_BASES[kind])
+
+    def accepted(made: Any) -> Any:
+        if not isinstance(made, base):
+            raise UserError(f"{source}: {shown(made)} is no {kind}, give {_MOST[kind]}")
+        return made
+
+    return dataclasses.replace(spec, name=name, make=Maker(source, make, accepted))
 
 
 def resolve(target: str | Callable[..., Any]) -> Any:

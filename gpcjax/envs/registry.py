@@ -104,7 +104,7 @@ def check_expert(env_name: str, expert_name: Any, source: str) -> None:
     """
     experts = task(env_name).experts
     is_name = isinstance(expert_name, str)
-    entry = experts.get(expert_name, expert_name) if is_name else None
+    entry: Any = experts.get(expert_name, expert_name) if is_name else None
     if isinstance(entry, tuple):
         return
     if isinstance(entry, str) and is_folder(entry):
@@ -112,9 +112,9 @@ def check_expert(env_name: str, expert_name: Any, source: str) -> None:
             raise UserError(f"{source} {shown(entry)}: no policy is in this folder (card.json is missing)")
         return
     if is_name and (expert_name in experts or ":" in expert_name):
-        from gpcjax.envs import foreign
+        from gpcjax.envs import foreign_experts
 
-        foreign.check_expert(env_name, entry, f"{source} {expert_name}")
+        foreign_experts.check_expert(env_name, entry, f"{source} {expert_name}")
         return
     others = [*experts, "the folder of a saved policy", "module:function"]
     raise UserError(
@@ -137,9 +137,9 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
     check_expert(env_name, expert_name, "oracle")
     entry = task(env_name).experts.get(expert_name, expert_name)
     if not isinstance(entry, tuple):
-        from gpcjax.envs import foreign
+        from gpcjax.envs import foreign_experts
 
-        return foreign.expert(env_name, entry)
+        return foreign_experts.expert(env_name, entry)
     target, *arguments = entry
     made = registry.resolve(target)
     return made(*arguments)
