@@ -93,6 +93,11 @@ _FOUND: dict[tuple[Kind, str], Spec] = {}
 """What was found: a person's module is imported, and what it makes is looked at, once in a process."""
 
 
+def found(kind: Kind, name: str) -> Any:
+    """The description of a name that was asked for before in this process; None of any other."""
+    return _FOUND.get((kind, name))
+
+
 def _elsewhere(kind: Kind, name: str, source: str) -> Spec:
     if kind == "teacher" and name == "person":
         return resolve("gpcjax.teachers.descriptions:PERSON")

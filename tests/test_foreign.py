@@ -15,9 +15,14 @@ from gpcjax import registry
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.report import words
+from gpcjax.report.groups import gather
+from gpcjax.sweep import labels
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Processes
 from gpcjax.sweep.fitting import left_out
+from gpcjax.sweep.growth import grown
+from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
@@ -136,6 +141,44 @@ def test_a_teacher_without_an_expert(tmp_path, workers_in_process):
     assert baselines["oracles"] == {} and baselines["idle"]["n"] == 100
     gpcjax.draw_report(out)
     assert "oracle none" in (out / "report.html").read_text()
+
+
+def test_a_report_has_the_words_of_descriptions(tmp_path, monkeypatch, workers_in_process):
+    """Of tasks and learners, from the manifest: where the report is drawn, nobody's module is run."""
+    out = sweep(
+        tmp_path / "out",
+        env="drifting:DRIFT",
+        algo=["drifting:LINEAR", "coach"],
+        rate=0.3,
+        seeds=2,
+        episodes=2,
+    )
+    manifest = read_manifest(out)
+    assert manifest["labels"] == {
+        "task": {"drifting:DRIFT": {"label": "Drifting", "unit": "metres, negative", "actions": ["push"]}},
+        "learner": {"drifting:LINEAR": {"label": "A line"}},
+    }
+    more = spec_of(env="drifting:DRIFT", algo=["coach", "drifting:Linear"], rate=0.3, seeds=2, episodes=2)
+    assert grown(manifest, more)["labels"] == manifest["labels"]
+    monkeypatch.setattr(registry, "_FOUND", {})
+    monkeypatch.setattr(labels, "_TOLD", {})
+    monkeypatch.setattr(registry, "described", lambda *_: pytest.fail("a module was run"))
+    study = gather(read_episodes(out), manifest)
+    assert words.return_label(study) == "return (metres, negative)" and words.action(study.env, 0) == "push"
+    assert (words.task(study.env), words.algorithm("drifting:LINEAR")) == ("Drifting", "A line")
+    assert words.task("drifting:Drift") == "drifting:Drift"
+
+
+def test_words_of_brax_need_no_brax():
+    assert words.task("brax:reacher") == "Reacher (brax)" and words.action("brax:reacher", 1) == "elbow"
+
+
+@pytest.mark.parametrize(
+    "said", [None, 3, [], {"task": 3}, {"task": {"a": 3}}, {"task": {"a": {"actions": 3}}}]
+)
+def test_damaged_words_are_left_out(said):
+    labels.remember({"labels": said})
+    assert words.task("a") == "a"
 
 
 def test_names():

@@ -21,6 +21,7 @@ from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.keepable import check_keeping
 from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.labels import labels_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
@@ -344,6 +345,7 @@ def new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any
         "format": FORMAT,
         "hash": specification_hash(spec),
         "specification": as_dict(spec),
+        **labels_of(spec),
         "varying": names,
         "cells": cells,
         "baselines": {"idle": None, "oracles": {}},

@@ -33,6 +33,9 @@ DRIFT = gpcjax.TaskSpec(
     name="drifting:DRIFT",
     make=Drift,
     experts={"own": "drifting:expert"},
+    label="Drifting",
+    unit="metres, negative",
+    actions=("push",),
     sizes=(2, 1),
     presets={"coach": {"lower": -1.0, "upper": 1.0, "counts": (5, 5)}},
 )
@@ -68,6 +71,9 @@ class Linear(gpcjax.Learner):
 
     def measure(self, state):
         return {"weight": jnp.abs(state).max()}
+
+
+LINEAR = gpcjax.LearnerSpec(name="linear", make=Linear, label="A line")
 
 
 class Drawing(Linear):
