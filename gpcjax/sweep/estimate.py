@@ -49,7 +49,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     """
     if all(work.finished >= work.cells and not work.workers for work in works):
         return 0.0
-    seen = [work for work in works if is_seen(work)]
+    seen = [work for work in works if is_seen(work) and not work.before]
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else _guessed(works)
     bound, free, to_compile = {}, {}, {}
@@ -157,7 +157,7 @@ def _left(work: Work, speed: float) -> Left:
         return by_pace
     # An expectation that has been wrong so far is not to be trusted either.
     odd = abs(math.log(work.seconds / (whole * work.done)))
-    unlike = abs(math.log(max(work.before.cells, 1) * max(work.joined, 1) / work.cells))
+    unlike = abs(math.log(work.before.cells / work.cells))
     expected, measured = KNOWN + UNLIKE * unlike + odd * work.done, MEASURED * (1 - work.done)
     trust = expected**2 / (expected**2 + measured**2)
     both = trust * seconds + (1 - trust) * max(whole - work.seconds, 0.0)
