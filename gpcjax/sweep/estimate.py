@@ -67,6 +67,20 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     return _last_end(works, ends, free, to_compile, jobs)
 
 
+def compiling_left(works: Sequence[Work], jobs: int) -> float:
+    """Estimated seconds in which workers still compile, of those that are left: each has one program at a time."""
+    compiling = _compiling(works)
+    left = [
+        max(
+            _to_compile(work, compiling) - work.compile_seconds / max(work.joined, 1) - work.compiling_for,
+            0.0,
+        )
+        for work in works
+        if work.finished < work.cells and work.done < 0.9
+    ]
+    return max([0.0, *left, sum(left) / jobs])
+
+
 def _first_ends(works: Sequence[Work], compiling: float, bound: Mapping[int, float]) -> list[End]:
     """When each worker has done what it has now, and where it is; `bound` is what each program's have in all."""
     ends: list[End] = []
@@ -125,7 +139,7 @@ def overdue(expected: float, elapsed: float) -> float:
 
 def _guessed(works: Sequence[Work]) -> float:
     """How much longer than in `costs` all takes, as long as nothing of it has been seen here."""
-    return max(work.slowness * work.machine for work in works)
+    return max((work.slowness * work.machine for work in works), default=1.0)
 
 
 def _usual(work: Work) -> float:

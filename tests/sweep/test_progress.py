@@ -14,14 +14,14 @@ from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, experience
 from gpcjax.sweep.crowd import Crowd
-from gpcjax.sweep.estimate import overdue, seconds_left
+from gpcjax.sweep.estimate import compiling_left, overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import GROWS, SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.telling import State
+from gpcjax.sweep.telling import State, Told
 from gpcjax.sweep.works import Work, works_of
 
 TICK = 0.25
@@ -513,10 +513,22 @@ class TestExperience:
         )
         with Bar("cartpole", 200, 1, stream, clock, works):
             pass
-        expected = (
-            r"cartpole: 200 cells in 1 process, about \d+:\d\d, of which 0:03 until all programs are there"
-        )
+        expected = r"cartpole: 200 cells in 1 process, about \d+:\d\d, 0:06 of it compiling"
         assert re.fullmatch(expected, stream.getvalue().splitlines()[0])
+
+    def test_what_was_never_compiled_is_told_too(self):
+        """By each program's tiers; less of it, the more was compiled; nothing of those that are nearly done."""
+        works = list(works_of(dict.fromkeys(self.PROGRAMS, 100)).values())
+        told = Told("cartpole", 200, 2, works)
+        assert re.fullmatch(r"about \d:\d\d left, 0:1\d of it compiling", told.left)
+        before = compiling_left(works, 1)
+        assert before == pytest.approx(sum(work.usual_compiling for work in works))
+        assert compiling_left(works, 2) == max(work.usual_compiling for work in works)
+        works[0].joined, works[0].compiling_for = 1, 2.0
+        assert compiling_left(works, 1) == pytest.approx(before - 2.0)
+        for work in works:
+            work.begun = work.finished = work.cells
+        assert compiling_left(works, 1) == 0.0
 
 
 def test_json_lines():
@@ -529,6 +541,6 @@ def test_json_lines():
     assert [line["event"] for line in told] == ["begin", "progress", "progress", "end"]
     assert told[1] == {
         "event": "progress", "sweep": "cartpole", "cells": 10, "finished": 3, "env_steps": 1000, "elapsed_s": 1.5,
-        "left_s": told[1]["left_s"], "compiling": True,
+        "left_s": told[1]["left_s"], "compile_s": told[1]["compile_s"], "compiling": True,
     }  # fmt: skip
-    assert told[1]["left_s"] > 0
+    assert told[1]["left_s"] >= told[1]["compile_s"] > 0
