@@ -25,6 +25,7 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
+from gpcjax.installed import require_set_up
 
 Kind = Literal["task", "learner", "teacher"]
 
@@ -138,10 +139,12 @@ def imported(name: str, source: str) -> Any:
     Raises:
         UserError: it is no such name, there is no such module, or nothing of that name in it.
         ForeignError: the module fails while it is imported.
+        ModuleNotFoundError: gpcjax is not set up, so that nobody can tell.
     """
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in [*module.split("."), *attribute.split(".")]):
         raise UserError(f"{source}: give module:NAME, as in mytask:Drift")
+    require_set_up()
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)  # last: nothing in the folder stands before what is installed

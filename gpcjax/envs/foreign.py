@@ -190,22 +190,50 @@ def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any
                 f"{made[0]} and {made[1]}"
             )
         return found
+    return _function(source, env_name, _imported(source, name))
+
+
+def check_expert(env_name: str, entry: str | Callable[..., Any], source: str) -> None:
+    """Looks at a function, or at the one that `module:function` names, as `expert` does; what makes one is not called.
+
+    Raises:
+        UserError, ForeignError: as `expert` does. `source` begins the message.
+    """
+    found = entry if callable(entry) else _imported(source, entry)
+    if _takes_observation(source, found):
+        _function(source, env_name, found)
+
+
+def _imported(source: str, name: str) -> Callable[..., Any]:
     found = registry.imported(name, source)
     if not callable(found):
         raise UserError(f"{source}: {shown(found)} is none, give {_EXPERT}")
-    return _function(source, env_name, found)
+    return found
+
+
+def _takes_observation(source: str, found: Callable[..., Any]) -> bool:
+    """Whether this is the expert itself, and not a class or a function that makes one.
+
+    Raises:
+        UserError: Python cannot tell which arguments it takes.
+    """
+    try:
+        parameters = inspect.signature(found).parameters.values()
+    except ValueError:
+        raise UserError(
+            f"{source}: Python cannot tell the arguments of {shown(found)}, give {_EXPERT}"
+        ) from None
+    at_places = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    takes = any(each.default is each.empty and each.kind in at_places for each in parameters)
+    return takes and not inspect.isclass(found)
 
 
 def _function(source: str, env_name: str, found: Any) -> Callable[[Any], Any]:
     """A function of an observation, made first where it is a class or a function without arguments."""
     obs_size, action_size = _sizes(env_name)
+    is_expert = _takes_observation(source, found)
     try:
-        takes = [
-            each
-            for each in inspect.signature(found).parameters.values()
-            if each.default is each.empty and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
-        ]
-        function = found if takes and not inspect.isclass(found) else found()
+        function = found if is_expert else found()
         if not callable(function):
             raise UserError(f"{source}: {shown(function)} is none, give {_EXPERT}")
         shape = jax.eval_shape(function, jax.ShapeDtypeStruct((obs_size,), float))

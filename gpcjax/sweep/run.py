@@ -16,6 +16,7 @@ from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
+from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.keepable import check_keeping
 from gpcjax.sweep.keeping import Keeping, keeping_of
@@ -93,6 +94,8 @@ def sweep(
     check_shard(folder, share, count(spec))
     _check_start(spec)
     make_writable(folder)
+    for line in left_out(spec.env) if "algo" not in settings else ():
+        tell(line)
     run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 

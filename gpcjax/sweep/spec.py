@@ -12,7 +12,7 @@ from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find
 from gpcjax.sweep import points as joint
-from gpcjax.sweep.fitting import check_advised, check_concerns
+from gpcjax.sweep.fitting import check_advised, check_concerns, learners_for
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
@@ -148,7 +148,8 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
         raise UserError(f"no env: give {OPTIONS['env'].allowed} (--env, or env = in the TOML file)")
     settings = {name: setting.value for name, setting in given.items() if isinstance(setting, Given)}
     task = find("task", settings["env"])
-    algo = settings.get("algo", OPTIONS["algo"].default)
+    asked = given.get("algo")
+    algo = learners_for(task, asked if isinstance(asked, Given) else None)
     learners = [find("learner", name) for name in algo]
     teacher = find("teacher", settings.get("teacher", ORACLE))
     if teacher.live and not live:
@@ -165,6 +166,7 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     check_concerns(known, algo, learners, teacher)
     value = {name: setting.value for name, setting in known.items() if name in given}
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
+        "algo": algo,
         "episodes": task.episodes,
         "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
         "max_capacity": task.max_capacity,

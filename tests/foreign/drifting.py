@@ -29,6 +29,15 @@ def expert(obs):
     return jnp.clip(-3.0 * obs[:1], -1.0, 1.0)
 
 
+DRIFT = gpcjax.TaskSpec(
+    name="drifting:DRIFT",
+    make=Drift,
+    experts={"own": "drifting:expert"},
+    sizes=(2, 1),
+    presets={"coach": {"lower": -1.0, "upper": 1.0, "counts": (5, 5)}},
+)
+
+
 class Linear(gpcjax.Learner):
     """A linear policy, moved along the observation by each advice."""
 

@@ -17,6 +17,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("compiling", whether)       XLA begins with a program, or has it
     ("note", line)               has something to tell the person
     ("failed", line, text)       its last word: an error in one line, and its full text or ""
+    ("refused", line)            its last word: what a person asked for cannot be done, as a `UserError` says it
     ("theirs", ...)              its last word: the arguments of a `ForeignError`
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from gpcjax.errors import Failure, ForeignError
+from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
@@ -115,6 +115,7 @@ class Desk:
 
         Raises:
             Failure: the worker says that it failed.
+            UserError: it says that what a person asked for cannot be done, or that somebody else's code failed.
             Stopped: a signal came in, within `stopping.deferred`.
         """
         with self._lock:
@@ -191,6 +192,8 @@ class Desk:
                 self._on_note(line)
             case ("failed", line, details):
                 raise Failure(f"a worker process failed: {line}", details)
+            case ("refused", str() as line):
+                raise UserError(line)
             case ("theirs", *arguments):
                 raise ForeignError(*arguments)
         return None
