@@ -253,7 +253,7 @@ def settings_from(
 ) -> tuple[Setting, ...]:
     """The arguments with a number as their default, but for `others`, of what makes a learner or a teacher.
 
-    Whole numbers are compiled in; all others are data of one program.
+    Whole numbers are compiled in; all others may be data of one program (`gpcjax.making.told_apart`).
 
     Raises:
         UserError: one of them has the name of a setting or a column of every sweep; `source` begins the message.

@@ -18,7 +18,7 @@ from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import compute_platform, notes
 from gpcjax.sweep.fitting import left_out
-from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
@@ -74,6 +74,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
         check_shard(out, shard, cells)
+        check_kept(out, running.keeping, spec)
     if spec.start is not None:
         from gpcjax.sweep.sources import check_start  # which reads run folders
 

@@ -16,10 +16,11 @@ from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points, reading
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
+from gpcjax.sweep.requested import chosen_of
 from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.spec import ORACLE
+from gpcjax.sweep.spec import ORACLE, SweepSpec
 
 PRESET = "preset"
 """Value of a setting that a specification leaves to the learner or the teacher."""
@@ -115,16 +116,19 @@ class Match:
     alone: tuple[tuple[Group, ...], tuple[Group, ...]]
 
 
-def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
+def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | None = None) -> Folder:
     """Read a run folder: all that a comparison takes from a store and its manifest.
 
-    What is damaged or foreign in the store is left out; `say` gets a line for it.
+    What is damaged or foreign in the store is left out; `say` gets a line for it. With a `spec`, which the folder was
+    asked for, the folder is read as if it held that alone.
 
     Raises:
         UserError: it is no run folder, holds no episodes yet, or none that is whole.
     """
     check_report(path)
     rows = reading.read(path, say)
+    if spec is not None:
+        rows = chosen_of(rows, spec)
     manifest = rows.manifest
     specification = {**manifest["specification"]}
     for each, usual in _LATER.items():

@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.growth import requests
+from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import DAMAGED, EPISODES, MANIFEST, reason
 from gpcjax.sweep.lock import holder
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
@@ -18,6 +19,7 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import Found, names_in, whole_parts
 from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.rows import IDENTITY, cells_of
+from gpcjax.sweep.shards import held_shard
 from gpcjax.sweep.source import Source
 
 DEPTH = 3
@@ -64,6 +66,7 @@ class RunFolder:
                 for name in ("env", "algo", "oracle", "error", "seeds", "episodes")
             },
             "wall_time_s": self.manifest.get("wall_time_s"),
+            **({ENTRY: self.manifest[ENTRY]} if ENTRY in self.manifest else {}),
         }
 
 
@@ -135,10 +138,21 @@ def contents(folder: RunFolder) -> Contents:
 
 def commands(manifest: Mapping[str, Any], out: Path) -> list[str]:
     """What was typed, or does the same: a line for each time that something was asked of the folder."""
-    return [_command(each["specification"], out) for each in requests(manifest)]
+    kept = held_keeping(manifest) if ENTRY in manifest else None
+    running, note = [] if kept is None else kept.flags, ""
+    shard = held_shard(manifest)
+    if shard is not None:
+        running += ["--shard", str(shard)]
+        where = shard.folder(Path()).parts
+        if out.parts[-len(where) :] == where:
+            out = out.parents[len(where) - 1]
+        else:
+            note = f"where this folder is {'/'.join(where)} of that one"
+    running += ["--out", str(out)]
+    return [_command(each["specification"], running, note) for each in requests(manifest)]
 
 
-def _command(specification: Mapping[str, Any], out: Path) -> str:
+def _command(specification: Mapping[str, Any], running: Sequence[str], note: str) -> str:
     words = ["gpcjax", "sweep"]
     for name, value in {**specification, **specification.get("hyperparameters", {})}.items():
         option = OPTIONS.get(name)
@@ -151,8 +165,9 @@ def _command(specification: Mapping[str, Any], out: Path) -> str:
         elif name == "env" or _written(value) != _written(_usual(name, specification["env"])):
             words += [option.flag, _written(value)]
     joint = specification.get(POINTS)
-    beside = f"  # with its {len(joint)} [[points]] in a file of settings" if joint else ""
-    return shlex.join([*words, "--out", str(out)]) + beside
+    points = f"with its {len(joint)} [[points]] in a file of settings" if joint else ""
+    notes = ", ".join(filter(None, (points, note)))
+    return shlex.join([*words, *running]) + (f"  # {notes}" if notes else "")
 
 
 def _usual(name: str, env: str) -> Any:

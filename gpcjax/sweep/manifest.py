@@ -8,6 +8,7 @@ from typing import Any
 from gpcjax.errors import UserError
 from gpcjax.sweep import points
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import FORMAT, GIVE, GROWN, MANIFEST, UNSEALED, reason, sha256
 from gpcjax.sweep.plan import hash_of
 
@@ -85,6 +86,11 @@ def read_manifest(out: Path) -> dict[str, Any]:
         if not isinstance(manifest.get(name), kind):
             what = f"its {name} is damaged" if name in manifest else f"it has no {name}"
             raise DamagedManifest(path, what)
+    try:
+        if ENTRY in manifest:
+            held_keeping(manifest)
+    except ValueError:
+        raise DamagedManifest(path, f"its {ENTRY} is damaged") from None
     if (version == GROWN) != isinstance(manifest.get("asked"), list):
         raise DamagedManifest(path, "what it was asked for is damaged")
     try:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from gpcjax.allowed import shown
 from gpcjax.describe import is_column
+from gpcjax.engine.lanes import memory_of
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.base import Info, Learner
 from gpcjax.moment import Moment
@@ -67,9 +68,10 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
     source, number = f"teacher {name}: {type(teacher).__name__}", jax.ShapeDtypeStruct((), jnp.int32)
     here = _moment(obs_size, action_size, asked=True)
     sigma = jax.ShapeDtypeStruct((), jnp.float64)
-    memory = _traced(f"{source}.init", teacher.init)
-    watched = _traced(f"{source}.watch", teacher.watch, memory, here)
-    _check(f"{source}.watch", "the memory", watched, memory, exactly=True)
+    memory = _traced(f"{source}.init", lambda: memory_of(teacher))
+    if teacher.watches:
+        watched = _traced(f"{source}.watch", teacher.watch, memory, here)
+        _check(f"{source}.watch", "the memory", watched, memory, exactly=True)
 
     def may(coins: Any, sigma: Any, episode: Any, step: Any) -> Any:
         return teacher.during(episode).may_advise(coins, sigma, step)

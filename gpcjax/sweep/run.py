@@ -19,8 +19,8 @@ from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.growth import covering, grown
-from gpcjax.sweep.keepable import check_keeping
-from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.keepable import check_keeping, check_kept, refuse_other
+from gpcjax.sweep.keeping import ENTRY, Keeping, as_json, keeping_of
 from gpcjax.sweep.labels import labels_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
@@ -94,6 +94,7 @@ def sweep(
     folder = folder if share is None else share.folder(folder)
     check_sweep(folder, spec)
     check_shard(folder, share, count(spec))
+    check_kept(folder, keeping, spec)
     _check_start(spec)
     make_writable(folder)
     for line in left_out(spec.env) if "algo" not in settings else ():
@@ -144,7 +145,8 @@ def run(
         check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
         check_shard(out, shard, len(cells))
-        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out, shard, say)
+        check_kept(out, keeping, spec)
+        manifest, request = _asked(_manifest(spec, out, len(cells), keeping), spec, out, shard, say)
         if shard is not None:
             share = set(share_of(manifest, shard))
             cells = [cell for cell in cells if cell in share]
@@ -152,7 +154,12 @@ def run(
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
+        if keeping is not None and ENTRY not in manifest and store.cells:
+            say(
+                f"{out}: its manifest does not say what of its runs is kept: those that are there stay as they are"
+            )
         if missing or not manifest["complete"]:
+            refuse_other(out, manifest, keeping)
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
             agree = told(manifest["versions"], machine.kind_of(here), keeping)
@@ -189,7 +196,7 @@ def _asked(
     return larger, specification_hash(spec)
 
 
-def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
+def _manifest(spec: SweepSpec, out: Path, cells: int, keeping: Keeping | None) -> dict[str, Any]:
     """The manifest of `out`; a new one where there is none, or none that is whole."""
     names = varying(spec)
     try:
@@ -208,7 +215,8 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
         if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
-    return manifest
+        return manifest
+    return manifest | {ENTRY: as_json(keeping)}
 
 
 def _recovered(manifest: dict[str, Any], origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:

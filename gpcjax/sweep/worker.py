@@ -116,7 +116,7 @@ class _Worker:
 
     def _progress(self, pool: Pool) -> Totals:
         done, before, counters = self._done, self._before, pool.counters
-        names = ("env_steps", "episodes", "compile_seconds", "compilations")
+        names = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
         paces = zip(pool.paces(), self._paces_before, strict=True)
         return Totals(
             *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names),

@@ -27,7 +27,7 @@ from gpcjax.sweep.spec import SweepSpec
 from gpcjax.sweep.telling import Watcher
 from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
-from gpcjax.tune.check import CHECK, checked_on, differing, of_objectives
+from gpcjax.tune.check import CHECK, checked_on, differing, is_all, of_objectives
 from gpcjax.tune.command import STATE, Wishes, grid_spec
 from gpcjax.tune.figure import drawn
 from gpcjax.tune.found import Found, found_in
@@ -74,6 +74,8 @@ class Result(NamedTuple):
 
 def carry_out(wishes: Wishes) -> int:
     """Searches, judges on other seeds, draws, and tells of it; gives the exit status."""
+    if wishes.method == "mll":  # which computes in this process
+        compute_here()
     result = carried_out(wishes)
     _tell(wishes, result)
     return 0
@@ -91,9 +93,9 @@ def carried_out(wishes: Wishes) -> Result:
         comparison = checked_on(outcome.usual, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
         said = page.verdict(comparison, wishes.check.words)
         if comparison is not None and wishes.method != "mll":
-            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], out)
+            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], comparison)
         commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
-        if comparison is not None:
+        if comparison is not None and is_all(comparison):
             folders = [str(out / CHECK / each.name) for each in comparison.folders]
             by = ",".join(differing(outcome.usual, outcome.tuned))
             commands.append(shlex.join(["gpcjax", "compare", *folders, "--by", by]))
@@ -234,8 +236,6 @@ def _beside(found: Found) -> str:
 
 def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
     assert wishes.runs is not None
-    if "jax" not in sys.modules:
-        compute_here()
     from gpcjax.tune.likelihood import by_likelihood  # which loads jax
 
     fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, take=wishes.take, seeds=wishes.check)

@@ -30,7 +30,7 @@ from gpcjax.sweep.spec import (
 )
 from gpcjax.sweep.tomlfile import read_table
 from gpcjax.tune import halving, space
-from gpcjax.tune.flags import FLAGS, TABLE, TAKEN, own_values
+from gpcjax.tune.flags import FLAGS, NOT_TAKEN, TABLE, TAKEN, own_values
 from gpcjax.tune.halving import Rung
 from gpcjax.tune.names import names_of
 from gpcjax.tune.space import Space
@@ -158,7 +158,7 @@ def _wishes(
         value["method"],
         f"with {own['method'].source} {own['method'].value}",
     )
-    for name in ("rate_from", "keep", "keep_at"):
+    for name in NOT_TAKEN:
         if name in given:
             raise UserError(f"{given[name].source}: a search has none, leave it out")
     if method == "mll":

@@ -117,6 +117,31 @@ class Forgetful(Loud):
         return memory[0]
 
 
+class Worried(Loud):
+    """Begins with Python's numbers, which become arrays; the other watches nothing, and so remembers nothing."""
+
+    def init(self):
+        return {"distance": jnp.inf, "worse": 0}
+
+    def watch(self, memory, moment):
+        distance = jnp.abs(moment.obs).sum(0)
+        worse = jnp.where(distance > memory["distance"], memory["worse"] + 1, 0)
+        return {"distance": distance, "worse": worse}
+
+    def recalling(self, memory):
+        assert memory["worse"].shape == ()
+        return self
+
+
+class Blind(Loud):
+    def init(self):
+        return {"worse": "nobody asks"}
+
+    def recalling(self, memory):
+        assert memory == ()
+        return self
+
+
 @pytest.mark.parametrize(
     ("teacher", "message"),
     [
@@ -139,7 +164,8 @@ def test_teachers(teacher, message):
 def test_what_is_right():
     for learner in (Linear, Short):
         rehearse_learner("mine:it", learner(obs_size=2, action_size=1))
-    rehearse_teacher("mine:it", Loud(), 2, 1)
+    for teacher in (Loud, Worried, Blind):
+        rehearse_teacher("mine:it", teacher(), 2, 1)
 
 
 def test_a_worker_says_whose_it_is(monkeypatch):

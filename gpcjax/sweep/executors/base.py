@@ -3,6 +3,8 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
+    ("begun", seconds, core's)   took so long to import what it needs, and so much of a core: only of a process of its
+                                 own, once
     ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
                                  ("stop",), or of an executor ("again",): this is another sweep, say it again
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end, and a
@@ -50,6 +52,8 @@ class Totals:
     episodes: int = 0
     compile_seconds: float = 0.0
     compilations: int = 0
+    kept: int = 0
+    """Of these programs, those that are kept, so that nobody compiles them again."""
     processor_seconds: float = 0.0
     """Of a worker's process, since it began."""
     paces: tuple[Pace, ...] = ()
