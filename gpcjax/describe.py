@@ -5,6 +5,7 @@ list of them. A description is frozen; `make` and the experts are texts "module:
 so that naming what is built in loads nothing that computes.
 """
 
+import dataclasses
 import inspect
 import numbers
 from collections.abc import Callable, Mapping
@@ -244,6 +245,12 @@ COLUMNS = frozenset(
 def is_column(name: str) -> bool:
     """Whether the tables of every sweep may have a column of this name."""
     return name in COLUMNS or name in OF_EVERY_SWEEP or name == "seed"
+
+
+def compiled_if_whole(setting: Setting) -> Setting:
+    """The setting, compiled in if its values are whole numbers: these are static fields (`gpcjax.fixed`)."""
+    whole = setting.kind is int and setting.compiled == "no"
+    return dataclasses.replace(setting, compiled="value") if whole else setting
 
 
 def settings_from(

@@ -12,6 +12,7 @@ A module is looked for where Python looks, and in the present folder. What is im
 fails, its own traceback is kept for the person (`ForeignError.details`).
 """
 
+import dataclasses
 import functools
 import importlib
 import importlib.metadata
@@ -22,7 +23,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
+from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, compiled_if_whole
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 
@@ -113,7 +114,9 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
         UserError: it is nothing of this kind.
     """
     if isinstance(found, _SPECS[kind]):
-        return found
+        if isinstance(found, TaskSpec):
+            return found
+        return dataclasses.replace(found, settings=tuple(map(compiled_if_whole, found.settings)))
     if not callable(found) or isinstance(found, Spec):
         raise UserError(f"{_WORD[kind]} {name}: {shown(found)} is no {kind}, give {_MOST[kind]}")
     makers = {

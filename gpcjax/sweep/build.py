@@ -19,6 +19,7 @@ from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import expert_names, make_env, make_expert
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.descriptions import CREDIT
@@ -112,7 +113,7 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
             raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
         last = cell.rate_schedule[-1:] * cell.episodes
         options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
-    return make(**options)
+    return fixed(make(**options))
 
 
 def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | None = None) -> Pool:
@@ -121,14 +122,13 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     What it compiles it looks for in `programs`, where that is kept.
     """
     program = program_of(cell)
-    template = start_of(dataclasses.replace(cell, start=None))
+    learner, teacher = recipe_of(cell).made(), _teacher(cell, dict(cell.hyperparameters))
     if cell.algo not in built_in("learner"):
         specs: tuple[LearnerSpec, TeacherSpec] = find("learner", cell.algo), find("teacher", cell.teacher)
-        rehearse_learner(cell.algo, template.learner, {each.name for spec in specs for each in spec.settings})
-    if not template.teacher.is_ours:
-        rehearse_teacher(
-            cell.teacher, template.teacher, template.learner.obs_size, template.learner.action_size
-        )
+        rehearse_learner(cell.algo, learner, {each.name for spec in specs for each in spec.settings})
+    if not teacher.is_ours:
+        rehearse_teacher(cell.teacher, teacher, learner.obs_size, learner.action_size)
+    template = start_of(dataclasses.replace(cell, start=None))
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
         env=make_env(program.env),

@@ -1,15 +1,24 @@
 """Settings of a person's own learners and teachers: what of them is compiled in, and which names they may have."""
 
+import dataclasses
+import pickle
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
 
 import gpcjax
+from gpcjax.allowed import Numbers
+from gpcjax.describe import Setting
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.registry import find
+from gpcjax.sweep.build import start_of
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.reading import read_episodes
+from gpcjax.sweep.rehearsal import check_alike
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from tests.foreign.drifting import Linear, Loud
@@ -47,6 +56,98 @@ class Sized(Linear):
 
 class Still(Loud):
     calm: float = eqx.field(default=0.5, static=True)
+
+
+class Whole(Linear):
+    """Of whole numbers follow shapes, of truth values conditions; a function and a text are no numbers at all."""
+
+    units: int = 3
+    clips: bool = True
+    how: str = "tanh"
+    activation: Callable = jnp.tanh
+
+    def init(self, key=None):
+        return {"weights": super().init(), "more": jnp.zeros(self.units)}
+
+    def propose(self, state, obs):
+        action = getattr(jnp, self.how)(self.activation(state["weights"] @ obs))
+        return jnp.clip(action, -1.0, 1.0) if self.clips else action
+
+    def learn(self, state, moment, advice, key):
+        weights, info = super().learn(state["weights"], moment, advice, key)
+        return {"weights": weights, "more": state["more"] + self.units}, info
+
+    def measure(self, state):
+        return {"weight": state["more"].sum()}
+
+
+class Netted(Linear):
+    net: eqx.nn.MLP = eqx.field(kw_only=True)
+
+
+class Patient(Loud):
+    patience: int = 2
+
+    def advise(self, coins, moment):
+        return jnp.zeros(self.patience).sum() + jnp.sign(moment.target - moment.action)
+
+
+def anew(obs_size, action_size, step_size=0.5):
+    return Whole(
+        obs_size=obs_size, action_size=action_size, step_size=step_size, activation=lambda x: jnp.tanh(x)
+    )
+
+
+SPEC = gpcjax.LearnerSpec(
+    name=f"{HERE}:SPEC", make=Whole, settings=(Setting("units", "", Numbers(1, 9, whole=True), "units"),)
+)
+GAIN = gpcjax.LearnerSpec(
+    name=f"{HERE}:GAIN", make=Gaining, settings=(Setting("gain", "", Numbers(), "said wrongly"),)
+)
+
+
+def test_what_is_no_number_to_trace_is_compiled_in(tmp_path, workers_in_process):
+    settings = {**USUAL, "algo": f"{HERE}:Whole", "teacher": f"{HERE}:Patient", "seeds": 1, "episodes": 2}
+    rows = read_episodes(sweep(tmp_path / "out", **settings))
+    assert (rows["corrections"] > 0).all() and (rows["weight"] == 9 * rows["corrections"].cumsum()).all()
+
+
+def test_a_session_has_them_compiled_in_too():
+    session = gpcjax.Session(Whole(obs_size=2, action_size=1))
+    session.propose([0.1, 0.2])
+    session.advise([1])
+    assert session.corrections == 1 and session.learner.units == 3
+
+
+def test_fixed_things_are_what_they_were():
+    given = Whole(obs_size=2, action_size=1, units=4)
+    one, other = fixed(given), fixed(Whole(obs_size=2, action_size=1, units=4))
+    assert jax.tree.structure(one) == jax.tree.structure(other) != jax.tree.structure(given)
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(one))
+    patient = fixed(Patient())
+    again = pickle.loads(pickle.dumps(patient))
+    assert type(again) is type(patient) is not Patient
+    assert dataclasses.replace(again, patience=4).patience == 4
+    assert isinstance(one, Whole) and (type(one).__name__, type(one).__module__) == ("Whole", HERE)
+    assert fixed(one) is one and fixed(linear := Linear(obs_size=2, action_size=1)) is linear
+    nested = fixed(Netted(obs_size=2, action_size=1, net=eqx.nn.MLP(2, 1, 4, 1, key=jax.random.key(0))))
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(nested))
+
+
+def test_whole_numbers_of_a_description_are_programs_of_their_own():
+    assert [each.compiled for each in find("learner", f"{HERE}:SPEC").settings] == ["value"]
+
+
+@pytest.mark.parametrize(("algo", "settings"), [("GAIN", {"gain": [1, 2]}), ("anew", {"rate": [0.1, 0.2]})])
+def test_runs_of_another_structure_are_refused(algo, settings):
+    first, second = plan(spec_of(**{**USUAL, "algo": f"{HERE}:{algo}", "seeds": 1} | settings))
+    if algo == "GAIN":
+        assert program_of(first) == program_of(second)
+    check_alike(first, start_of(first), start_of(first))
+    with pytest.raises(
+        UserError, match=f"algo {HERE}:{algo}: what it is made of is another with each run: give"
+    ):
+        check_alike(second, start_of(second), start_of(first))
 
 
 @pytest.mark.parametrize(

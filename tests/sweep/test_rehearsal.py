@@ -47,6 +47,17 @@ class Locked(Linear):
         return threading.Lock()
 
 
+class Branching(Linear):
+    """On a number that is data of a program."""
+
+    def learn(self, state, moment, advice, key):
+        return (state if self.step_size > 0.3 else 2 * state), gpcjax.Info.of(rate=jnp.zeros(1))
+
+
+class Wordy(Linear):
+    words: tuple = ("more", 0.5)
+
+
 class Measuring(Linear):
     def measure(self, state):
         return {"weights": state}
@@ -63,6 +74,8 @@ class Measuring(Linear):
             r"Wide.propose .* an action is float64 of shape \(4,\), it should be float64 of shape \(1,\)\)",
         ),
         (Locked, r"Locked.init .* the state is a lock, it should be made of arrays\)"),
+        (Branching, r"Branching.learn fails \(TracerBoolConversionError: Attempted boolean"),
+        (Wordy, r"Wordy .* its words\[0\] is a str, it should be of numbers\)"),
         (Measuring, rf"Measuring.measure .* it gives {{'weights': {ARRAY}}}, it should give a number"),
     ],
 )
@@ -102,6 +115,11 @@ class Tired(Loud):
 class Mute(Loud):
     def advise(self, coins, moment):
         pass
+
+
+class Choosy(Loud):
+    def advise(self, coins, moment):
+        return coins if self.loudness > 1 else -coins
 
 
 class Unsure(Loud):
@@ -146,6 +164,7 @@ class Blind(Loud):
     ("teacher", "message"),
     [
         (Tired, r"Tired.advise fails \(ZeroDivisionError: tired\)"),
+        (Choosy, r"Choosy.advise fails \(TracerBoolConversionError: Attempted boolean"),
         (Mute, "Mute.advise .* it gives None, it should give -1, 0 or 1 for each action dimension"),
         (Unsure, r"Unsure.may_advise .* it gives float64 of shape \(1,\), it should give a truth value"),
         (
