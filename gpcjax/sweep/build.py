@@ -30,7 +30,7 @@ from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
+from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_task, rehearse_teacher
 from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
@@ -122,7 +122,10 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     What it compiles it looks for in `programs`, where that is kept.
     """
     program = program_of(cell)
-    learner, teacher = recipe_of(cell).made(), _teacher(cell, dict(cell.hyperparameters))
+    env, learner = make_env(program.env), recipe_of(cell).made()
+    teacher = _teacher(cell, dict(cell.hyperparameters))
+    if program.env not in built_in("task"):
+        rehearse_task(program.env, env)
     if cell.algo not in built_in("learner"):
         specs: tuple[LearnerSpec, TeacherSpec] = find("learner", cell.algo), find("teacher", cell.teacher)
         rehearse_learner(cell.algo, learner, {each.name for spec in specs for each in spec.settings})
@@ -131,7 +134,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     template = start_of(dataclasses.replace(cell, start=None))
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
-        env=make_env(program.env),
+        env=env,
         expert=make_expert(program.env, program.oracle),
         episodes=program.episodes,
         template=template,

@@ -1,4 +1,4 @@
-"""A learner or a teacher of a person's own is traced once, by itself, before a program is made of it.
+"""A task, a learner or a teacher of a person's own is traced once, by itself, before a program is made of it.
 
 What it gets wrong is told in its own words then, and not in those of a program of many lanes.
 """
@@ -14,6 +14,8 @@ import numpy as np
 from gpcjax.allowed import shown
 from gpcjax.describe import is_column
 from gpcjax.engine.lanes import Start, memory_of
+from gpcjax.envs.base import Env, started
+from gpcjax.envs.host import HostEnv
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
 from gpcjax.learners.base import Info, Learner
@@ -36,6 +38,7 @@ def rehearse_learner(name: str, learner: Learner, settings: Collection[str] = ()
     state = _traced(f"{source}.init", lambda learner: learner.init(_key()), learner)
     if any(_form(leaf) is None for leaf in jax.tree.leaves(state)):
         raise _does_not_fit(f"{source}.init", f"the state is {_shown(state)}, it should be made of arrays")
+    _refuse_keys(f"{source}.init: state", state)
 
     def proposes(learner: Learner, state: Any, obs: Any) -> Any:
         return learner.controller(state)(obs)
@@ -78,6 +81,7 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
     here, teacher = _moment(obs_size, action_size, asked=True), _numbers(source, teacher)
     sigma = jax.ShapeDtypeStruct((), jnp.float64)
     memory = _traced(f"{source}.init", memory_of, teacher)
+    _refuse_keys(f"{source}.init: memory", memory)
 
     def watch(teacher: Teacher, memory: Any, moment: Moment) -> Any:
         return teacher.during(moment.episode).watch(memory, moment)
@@ -101,6 +105,13 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
         raise _does_not_fit(f"{source}.advise", f"it gives {_shown(advice)}, it should give {wanted}")
 
 
+def rehearse_task(name: str, env: Env | HostEnv) -> None:
+    """Refuses a task whose physics no block of lanes can hold. Raises UserError."""
+    if isinstance(env, Env):
+        state = jax.eval_shape(lambda: started(env, _key()))
+        _refuse_keys(f"env {name}: {type(env).__name__}.reset: its physics", state.physics)
+
+
 def check_alike(cell: Cell, start: Start, template: Start) -> None:
     """Whether a run can go where the pool of `template` has its program.
 
@@ -120,6 +131,7 @@ def check_alike(cell: Cell, start: Start, template: Start) -> None:
 
 def _numbers(source: str, thing: T) -> T:
     """A learner or a teacher as a program has it: what is no number is static, each number one that jax traces."""
+    _refuse_keys(f"{source}: its ", thing)
 
     def traced(path: Any, leaf: Any) -> jax.ShapeDtypeStruct:
         kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
@@ -129,6 +141,17 @@ def _numbers(source: str, thing: T) -> T:
         return jax.ShapeDtypeStruct(np.shape(leaf), kind)
 
     return jax.tree_util.tree_map_with_path(traced, fixed(thing))
+
+
+def _refuse_keys(what: str, tree: Any) -> None:
+    """Raises UserError: a part is a random key of jax's own type, which is no array of numbers; `what` begins it."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            place = f"{what}{jax.tree_util.keystr(path)}".replace(" .", " ")
+            raise UserError(
+                f"{place} is a random key: keep jax.random.key_data(key), "
+                "of which jax.random.wrap_key_data makes it again"
+            )
 
 
 def _traced(source: str, function: Callable[..., T], *arguments: Any) -> T:

@@ -2,15 +2,17 @@
 
 import threading
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import gpcjax
 from gpcjax.errors import ForeignError, UserError
-from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
+from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_task, rehearse_teacher
 from gpcjax.sweep.worker import work
-from tests.foreign.drifting import Linear, Loud
+from tests.foreign.drifting import Drift, Linear, Loud
 
 ARRAY = r"float64 of shape \(1, 2\)"
 
@@ -178,6 +180,42 @@ def test_teachers(teacher, message):
         ForeignError, match=f"^teacher mine:it: {message}".replace(" .* ", r" does not fit \(")
     ):
         rehearse_teacher("mine:it", teacher(), 2, 1)
+
+
+class Drawing(Linear):
+    def init(self, key=None):
+        return {"weights": super().init(), "key": jax.random.key(0)}
+
+
+class Keyed(Linear):
+    drawn: jax.Array = eqx.field(kw_only=True)
+
+
+class Remembering(Loud):
+    def init(self):
+        return (jax.random.key(0),)
+
+    def watch(self, memory, moment):
+        return memory
+
+
+class Windy(Drift):
+    def reset(self, key):
+        return self.begin({"key": key}, jnp.zeros(2))
+
+
+def test_random_keys_of_jaxs_own_type():
+    """No block of lanes holds them: the line says what to keep."""
+    sizes, keep = {"obs_size": 2, "action_size": 1}, r"is a random key: keep jax.random.key_data\(key\)"
+    with pytest.raises(UserError, match=rf"^algo it: Drawing.init: state\['key'\] {keep}"):
+        rehearse_learner("it", Drawing(**sizes))
+    with pytest.raises(UserError, match=rf"^algo it: Keyed: its drawn {keep}"):
+        rehearse_learner("it", Keyed(**sizes, drawn=jax.random.key(0)))
+    with pytest.raises(UserError, match=rf"^teacher it: Remembering.init: memory\[0\] {keep}"):
+        rehearse_teacher("it", Remembering(), 2, 1)
+    with pytest.raises(UserError, match=rf"^env it: Windy.reset: its physics\['key'\] {keep}"):
+        rehearse_task("it", Windy())
+    rehearse_task("it", Drift())
 
 
 def test_what_is_right():
