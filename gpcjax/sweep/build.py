@@ -127,8 +127,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     if program.env not in built_in("task"):
         rehearse_task(program.env, env)
     if cell.algo not in built_in("learner"):
-        specs: tuple[LearnerSpec, TeacherSpec] = find("learner", cell.algo), find("teacher", cell.teacher)
-        rehearse_learner(cell.algo, learner, {each.name for spec in specs for each in spec.settings})
+        rehearse_learner(cell.algo, learner)
     if not teacher.is_ours:
         rehearse_teacher(cell.teacher, teacher, learner.obs_size, learner.action_size)
     template = start_of(dataclasses.replace(cell, start=None))

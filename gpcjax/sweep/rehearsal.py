@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.allowed import shown
-from gpcjax.describe import is_column
+from gpcjax.describe import OF_EVERY_SWEEP, is_column
 from gpcjax.engine.lanes import Start, memory_of
 from gpcjax.envs.base import Env, started
 from gpcjax.envs.host import HostEnv
@@ -20,14 +20,15 @@ from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
 from gpcjax.learners.base import Info, Learner
 from gpcjax.moment import Moment
+from gpcjax.registry import find
 from gpcjax.sweep.plan import Cell
 from gpcjax.teachers.base import Teacher
 
 T = TypeVar("T")
 
 
-def rehearse_learner(name: str, learner: Learner, settings: Collection[str] = ()) -> None:
-    """Traces what a learner does in a sweep that may have columns for these `settings`.
+def rehearse_learner(name: str, learner: Learner) -> None:
+    """Traces what a learner does in a sweep.
 
     Raises:
         ForeignError: one of its methods fails, or gives something of another shape or type than it should.
@@ -69,10 +70,26 @@ def rehearse_learner(name: str, learner: Learner, settings: Collection[str] = ()
     for each in measured:
         if not isinstance(each, str) or not each.isidentifier():
             raise UserError(f"{source}.measure: {shown(each)} can be no column, give a name like n_updates")
-        if is_column(each) or each in settings:
-            raise UserError(
-                f"{source}.measure: {each} is a column of this sweep already, give it another name"
-            )
+        if is_column(each):
+            what = "setting" if each in OF_EVERY_SWEEP else "column"
+            raise UserError(f"{source}.measure: {each} is a {what} of every sweep, give it another name")
+
+
+def check_columns(cell: Cell, learner: Learner, varying: Collection[str]) -> None:
+    """Whether what a learner measures can have columns beside those of the settings that vary.
+
+    Raises:
+        UserError: one of these has the same name.
+    """
+    if type(learner).measure is Learner.measure:
+        return
+    measured = jax.eval_shape(lambda: learner.measure(learner.init(_key())))
+    if twice := sorted(measured.keys() & set(varying)):
+        own = any(twice[0] == setting.name for setting in find("learner", cell.algo).settings)
+        what = "a setting of this learner that varies here" if own else "a column of this sweep"
+        raise UserError(
+            f"algo {cell.algo}: {type(learner).__name__}.measure: {twice[0]} is {what}, give it another name"
+        )
 
 
 def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: int) -> None:

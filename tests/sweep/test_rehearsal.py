@@ -10,7 +10,11 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import ForeignError, UserError
-from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_task, rehearse_teacher
+from gpcjax.sweep.build import start_of
+from gpcjax.sweep.executors.base import Orders
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.rehearsal import check_columns, rehearse_learner, rehearse_task, rehearse_teacher
+from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.worker import work
 from tests.foreign.drifting import Drift, Linear, Loud
 
@@ -92,10 +96,9 @@ def test_learners(learner, message):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("return", "return is a column of this sweep already"),
+        ("return", "return is a column of every sweep, give it another name"),
         ("seed", "seed is a column"),
-        ("error", "error is a column"),
-        ("step_size", "step_size is a column"),
+        ("error", "error is a setting of every sweep"),
         ("mean weight", "'mean weight' can be no column, give a name"),
         (3, "3 can be no column"),
     ],
@@ -106,7 +109,50 @@ def test_a_measurement_has_a_column_of_its_own(name, message):
             return {name: state.sum()}
 
     with pytest.raises(UserError, match=f"^algo mine:it: Named.measure: {message}"):
-        rehearse_learner("mine:it", Named(obs_size=2, action_size=1), ["step_size"])
+        rehearse_learner("mine:it", Named(obs_size=2, action_size=1))
+
+
+class Measured(Linear):
+    beta: float = 0.5
+
+    def measure(self, state):
+        return {"step_size": self.step_size, "magnitude": state.sum()}
+
+
+def test_a_measurement_beside_what_varies():
+    """What does not vary is no column: nothing clashes with it, not even a setting of its own."""
+    algo = f"{__name__}:Measured"
+    cell, *_ = plan(spec_of(env="cartpole", algo=algo, step_size=[0.1, 0.2], seeds=1))
+    learner = Measured(obs_size=4, action_size=1)
+    check_columns(cell, learner, ["beta", "rate"])
+    with pytest.raises(
+        UserError, match=f"algo {algo}: Measured.measure: step_size is a setting of this learner that"
+    ):
+        check_columns(cell, learner, ["step_size"])
+    with pytest.raises(
+        UserError, match=r"Measured.measure: magnitude is a column of this sweep, give it another"
+    ):
+        check_columns(cell, learner, ["magnitude"])
+    buffered, *_ = plan(spec_of(env="cartpole", algo="d-coach", seeds=1))
+    with pytest.raises(
+        UserError, match=r"algo d-coach: DCoach.measure: replay_loss is a column of this sweep"
+    ):
+        check_columns(buffered, start_of(buffered).learner, ["replay_loss"])
+
+
+def test_a_worker_looks_at_them(monkeypatch):
+    """Before it runs anything, whatever it ran before."""
+    cell, *_ = plan(spec_of(env="cartpole", algo=f"{__name__}:Measured", step_size=[0.1, 0.2], seeds=1))
+    monkeypatch.setattr("gpcjax.sweep.worker.refuse_another_environment", lambda: None)
+    said = []
+
+    def say(message):
+        said.append(message)
+        return ("program", cell, Orders(varying=("step_size",)))
+
+    assert not work(say)
+    assert said[0] == ("ready",) and "step_size is a setting of this learner" in said[-1][1]
+    assert "next" not in {message[0] for message in said}
 
 
 class Tired(Loud):
