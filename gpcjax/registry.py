@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, compiled_if_whole
+from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, check_name, compiled_if_whole
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 
@@ -111,11 +111,13 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
     """The description of what somebody else's module has under a name: its own, or one made of a class or function.
 
     Raises:
-        UserError: it is nothing of this kind.
+        UserError: it is nothing of this kind, or has a setting of a name that it cannot have.
     """
     if isinstance(found, _SPECS[kind]):
         if isinstance(found, TaskSpec):
             return found
+        for setting in found.settings:
+            check_name(f"{_WORD[kind]} {name}: its setting {setting.name}", setting.name)
         return dataclasses.replace(found, settings=tuple(map(compiled_if_whole, found.settings)))
     if not callable(found) or isinstance(found, Spec):
         raise UserError(f"{_WORD[kind]} {name}: {shown(found)} is no {kind}, give {_MOST[kind]}")
