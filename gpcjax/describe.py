@@ -234,6 +234,9 @@ OF_EVERY_SWEEP = frozenset(
 )
 """Names of settings that no learner and no teacher can have for its own."""
 
+ELSEWHERE = frozenset("points quick engine address shard executor".split())
+"""Names that mean something else where settings are given: a setting of such a name could not be."""
+
 COLUMNS = frozenset(
     "episode return length corrections mean_rate asked chance policy_points human_points clipped full status "
     "step action_dim sigma_policy sigma_human appended replaced advice_rate "
@@ -265,7 +268,7 @@ def check_name(source: str, name: str) -> None:
         UserError: something else of every sweep, or of every report, has it.
     """
     for names, what in (
-        (OF_EVERY_SWEEP, "setting of every sweep"),
+        (OF_EVERY_SWEEP | ELSEWHERE, "setting of every sweep"),
         ({*COLUMNS, "seed"}, "column of every sweep"),
         (REPORTED, "column of every report"),
     ):

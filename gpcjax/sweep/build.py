@@ -83,10 +83,15 @@ def pack_learned(cell: Cell, learner: Learner, state: State) -> tuple[dict[str, 
     return pack_own(recipe_of(cell), learner, state)
 
 
+def _own(spec: LearnerSpec | TeacherSpec, values: Mapping[str, float]) -> dict[str, Any]:
+    """The values of its settings, of the type that it takes: another one may have the same name for whole numbers."""
+    kinds = {each.name: each.kind for each in spec.settings}
+    return {name: kinds[name](value) for name, value in values.items() if name in kinds}
+
+
 def _recipe(cell: Cell, values: Mapping[str, float], capacity: int | None = None) -> Recipe:
     spec: LearnerSpec = find("learner", cell.algo)
-    names = {setting.name for setting in spec.settings}
-    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options = _own(spec, values)
     options |= {name: list(factors) for name in SCALES if (factors := getattr(cell, name))}
     if spec.dictionary:
         first = _tiers(program_of(cell))[0]
@@ -103,8 +108,7 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     spec: TeacherSpec = find("teacher", cell.teacher)
     make = resolve(spec.make)
     takes = inspect.signature(make).parameters
-    names = {setting.name for setting in spec.settings}
-    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options = _own(spec, values)
     options |= {name: getattr(cell, name) for name in _OF_THE_EXPERIMENT if name in takes}
     if "time_step" in takes:
         options["time_step"] = find("task", cell.env).seconds
