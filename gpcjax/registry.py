@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
+from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, check_name, compiled_if_whole
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.installed import require_set_up
@@ -122,7 +122,7 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
     """The description of what somebody else's module has under a name: its own, or one made of a class or function.
 
     Raises:
-        UserError: it is nothing of this kind.
+        UserError: it is nothing of this kind, or has a setting of a name that it cannot have.
     """
     is_told = isinstance(found, _SPECS[kind])
     if is_told and not isinstance(found, TaskSpec):
@@ -138,8 +138,15 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
 
 
 def _told_of(kind: Kind, name: str, spec: Any) -> Spec:
-    """A person's own description of a learner or a teacher, under the name by which it was asked for."""
+    """A person's own description of a learner or a teacher, under the name by which it was asked for.
+
+    Raises:
+        UserError: it has a setting of a name that it cannot have.
+    """
     source = f"{_WORD[kind]} {name}"
+    for setting in spec.settings:
+        check_name(f"{source}: its setting {setting.name}", setting.name)
+    settings = tuple(map(compiled_if_whole, spec.settings))
     make = imported(spec.make, source) if isinstance(spec.make, str) else spec.make
     base = resolve(_BASES[kind])
 
@@ -148,7 +155,7 @@ def _told_of(kind: Kind, name: str, spec: Any) -> Spec:
             raise UserError(f"{source}: {shown(made)} is no {kind}, give {_MOST[kind]}")
         return made
 
-    return dataclasses.replace(spec, name=name, make=Maker(source, make, accepted))
+    return dataclasses.replace(spec, name=name, make=Maker(source, make, accepted), settings=settings)
 
 
 def resolve(target: str | Callable[..., Any]) -> Any:

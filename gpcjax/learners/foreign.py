@@ -8,6 +8,7 @@ from typing import Any
 from gpcjax.allowed import shown
 from gpcjax.describe import LearnerSpec, settings_from
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.learners.base import Learner
 from gpcjax.making import Maker, told_apart
 
@@ -36,4 +37,4 @@ def learner_of(name: str, found: Callable[..., Any]) -> LearnerSpec:
 def _accepted(source: str, made: Any) -> Learner:
     if not isinstance(made, Learner):
         raise UserError(f"{source}: {shown(made)} is no learner, give a subclass of gpcjax.Learner")
-    return made
+    return fixed(made)

@@ -28,6 +28,7 @@ from gpcjax.sweep.executors.base import Message, Orders, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import Cell, Program, program_of
+from gpcjax.sweep.rehearsal import check_columns
 from gpcjax.sweep.runs import Runs
 
 REPORT_SECONDS = 0.25
@@ -87,6 +88,7 @@ class _Worker:
 
     def _teach(self, first: Cell, orders: Orders) -> None:
         pool = self._pool_for(first, orders.keeping)
+        check_columns(first, pool.template.learner, orders.varying)
         runs = Runs(pool, orders, self._say)
         self._before, self._paces_before = dataclasses.replace(pool.counters), pool.paces()
         self._compiled = pool.counters.compilations

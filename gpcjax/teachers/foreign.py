@@ -8,6 +8,7 @@ from typing import Any
 from gpcjax.allowed import shown
 from gpcjax.describe import TeacherSpec, settings_from
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.making import Maker, told_apart
 from gpcjax.teachers.base import Teacher
 
@@ -38,4 +39,4 @@ def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
 def _accepted(source: str, made: Any) -> Teacher:
     if not isinstance(made, Teacher):
         raise UserError(f"{source}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
-    return made
+    return fixed(made)
