@@ -1,6 +1,7 @@
 """Commands that run something: everything is checked first."""
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -88,12 +89,20 @@ def sweep(arguments: argparse.Namespace) -> int:
         return 0
     make_writable(out)
     status = _teach(spec, out, running)
-    if arguments.command == "grid" and not running.as_json:
-        from gpcjax.tune.best import write_best
-
-        for path in write_best(out, spec):
-            print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
+    if arguments.command == "grid" and shard is None:
+        _write_best(out, spec, arguments.json)
     return status
+
+
+def _write_best(out: Path, spec: SweepSpec | None, as_json: bool) -> None:
+    """The best settings of a grid, by its rows, as files; says where they are."""
+    from gpcjax.tune.best import write_best
+
+    paths = write_best(out, spec)
+    if as_json and paths:
+        print(json.dumps({"event": "best", "out": str(out), "files": [*map(str, paths)]}))
+    for path in () if as_json else paths:
+        print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
 
 
 def _executor(given: Mapping[str, Given | Unchecked]) -> "Executor | None":
@@ -221,7 +230,11 @@ def merge(arguments: argparse.Namespace) -> int:
     from gpcjax.sweep.merging import merge
 
     whole = merge([Path(os.path.expanduser(folder)) for folder in arguments.folder], out)
-    return report(whole, arguments.json)
+    status = report(whole, arguments.json)
+    _write_best(
+        whole, None, arguments.json
+    )  # of lists of hyperparameters, as shards have no best of their own
+    return status
 
 
 def tune(arguments: argparse.Namespace) -> int:

@@ -1,12 +1,15 @@
 """What run folders are there, and how far each of them is. Loads no jax."""
 
+import contextlib
 import os
 import shlex
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
@@ -21,6 +24,7 @@ from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.rows import IDENTITY, cells_of
 from gpcjax.sweep.shards import held_shard
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.spec import from_dict
 
 DEPTH = 3
 """Folders below the given one in which runs are looked for: a reproduction has a folder for each of its sweeps."""
@@ -98,9 +102,42 @@ def look(path: Path) -> RunFolder:
     except UserError as error:
         what = error.what if isinstance(error, DamagedManifest) else str(error)
         return RunFolder(path, STRANGE, what, 0, None, changed, {})
-    state = GOING_ON if writer is not None else COMPLETE if manifest["complete"] else INTERRUPTED
+    for specification in (manifest["specification"], *(each["specification"] for each in requests(manifest))):
+        if odd := _oddity(specification):
+            return RunFolder(path, STRANGE, odd, 0, None, changed, {})
     finished = manifest["cells"] if manifest["complete"] else manifest.get("finished")
+    state = GOING_ON if writer is not None else COMPLETE if manifest["complete"] else INTERRUPTED
+    if finished and not _has_parts(path):
+        writer, finished = writer or "its episodes are gone", 0
+        state = GOING_ON if state == GOING_ON else INTERRUPTED
     return RunFolder(path, state, writer or "", manifest["cells"], finished, changed, manifest)
+
+
+def _oddity(specification: Mapping[str, Any]) -> str:
+    """What of a specification is none that could be told of; nothing of a sound one."""
+    try:
+        from_dict(specification)
+        for name, kind in {"env": str, "algo": str, "oracle": str, "error": int | float}.items():
+            value = specification[name]
+            values = [value] if name == "env" else value
+            if not isinstance(values, list) or not values or not all(isinstance(one, kind) for one in values):
+                raise ValueError(f"{name} {shown(value)}")
+        if not isinstance(specification["episodes"], int):
+            raise ValueError(f"episodes {shown(specification['episodes'])}")
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        return f"its specification is damaged ({reason(error)})"
+    return ""
+
+
+def _has_parts(path: Path) -> bool:
+    """Whether there is any file of episodes, whatever is in it."""
+    try:
+        with os.scandir(path / EPISODES) as entries:
+            return any(entry.name.endswith(".parquet") for entry in entries)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True  # which cannot be known
 
 
 @dataclass(frozen=True)
@@ -125,15 +162,28 @@ def contents(folder: RunFolder) -> Contents:
         for part in whole_parts(folder.path, folder.manifest, found, {EPISODES: keys}):
             stored |= cells_of(part.tables[EPISODES], keys)
             parts += 1
-    files = [path for path in folder.path.rglob("*") if path.is_file()]
+    files = _files(folder.path)
     return Contents(
         finished=len(stored),
         parts=parts,
-        size=sum(path.stat().st_size for path in files),
+        size=sum(files.values()),
         damaged=tuple(f"{path}: {what}" for path, what in found.damaged.items()),
         foreign=tuple(found.foreign),
-        set_aside=sum(path.parts[len(folder.path.parts)].startswith(DAMAGED) for path in files),
+        set_aside=sum(path.parts[0].startswith(DAMAGED) for path in files),
     )
+
+
+def _files(folder: Path) -> dict[Path, int]:
+    """The files below a folder, by their path there, with their sizes; without those that go meanwhile."""
+    found = {}
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            with contextlib.suppress(OSError):
+                about = path.stat()
+                if stat.S_ISREG(about.st_mode):
+                    found[path.relative_to(folder)] = about.st_size
+    return found
 
 
 def commands(manifest: Mapping[str, Any], out: Path) -> list[str]:

@@ -135,7 +135,7 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
     first = shares[0]
     for share in shares[1:]:
         if sorted(hashes(share.manifest)) != sorted(hashes(first.manifest)):
-            raise UserError(f"{share.folder}: it is a shard of another sweep than {first.folder}")
+            raise UserError(_other_requests(first, share))
         if share.shard.of != first.shard.of:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, {first.folder} is {first.shard}: give shards of one number"
@@ -167,6 +167,29 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             f"shards {', '.join(missing[:10])}{more} of {first.shard.of} are missing: run them, or give their folders"
         )
     return shares
+
+
+def _other_requests(first: _Share, share: _Share) -> str:
+    """Why two shards are not of one sweep, as far as it can be mended."""
+    mine, its = (hashes(each.manifest).keys() for each in (first, share))
+    less, more = (share, first) if len(its) < len(mine) else (first, share)
+    if not mine & its:
+        return f"{share.folder}: it is a shard of another sweep than {first.folder}"
+    if hashes(less.manifest).keys() < hashes(more.manifest).keys() and _begins_alike(less, more):
+        return (
+            f"{less.folder}: it was asked for less than {more.folder}: give it the later commands that `gpcjax show` "
+            "tells of that one, too"
+        )
+    return (
+        f"{less.folder}: it was not asked for the same things as {more.folder}, one after the other: run it again into "
+        "a new folder with the commands that `gpcjax show` tells of that one, in their order"
+    )
+
+
+def _begins_alike(less: _Share, more: _Share) -> bool:
+    """Whether a shard was asked for the same things as another, but not for all of them yet."""
+    asked = [[each["hash"] for each in requests(share.manifest)] for share in (less, more)]
+    return asked[0] == asked[1][: len(asked[0])]
 
 
 def _refuse_gaps(shares: Iterable[_Share], wanted: Keys) -> None:

@@ -18,7 +18,7 @@ from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.fitting import left_out
-from gpcjax.sweep.growth import covering, grown
+from gpcjax.sweep.growth import covering, grown, requests
 from gpcjax.sweep.keepable import check_keeping, check_kept, refuse_other
 from gpcjax.sweep.keeping import ENTRY, Keeping, as_json, keeping_of
 from gpcjax.sweep.labels import labels_of
@@ -33,6 +33,7 @@ from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
+from gpcjax.sweep.siblings import asked_before
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
@@ -146,9 +147,13 @@ def run(
         cells = plan(spec)
         check_shard(out, shard, len(cells))
         check_kept(out, keeping, spec)
-        manifest, request = _asked(_manifest(spec, out, len(cells), keeping), spec, out, shard, say)
+        begun = (out / MANIFEST).exists()
+        manifest, request = _asked(_manifest(spec, out, keeping, shard), spec, out, shard, say)
         if shard is not None:
             share = set(share_of(manifest, shard))
+            if not begun:  # what the other shards were asked for before is asked for, too
+                asked = [from_dict(each["specification"]) for each in requests(manifest)]
+                cells = [*dict.fromkeys(cell for each in asked for cell in plan(each))]
             cells = [cell for cell in cells if cell in share]
             manifest |= {"shard": shard.as_json(), "cells": len(share)}
         here = machine.describe()
@@ -196,9 +201,8 @@ def _asked(
     return larger, specification_hash(spec)
 
 
-def _manifest(spec: SweepSpec, out: Path, cells: int, keeping: Keeping | None) -> dict[str, Any]:
+def _manifest(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard | None) -> dict[str, Any]:
     """The manifest of `out`; a new one where there is none, or none that is whole."""
-    names = varying(spec)
     try:
         if (out / MANIFEST).exists():
             return read_manifest(out)
@@ -206,7 +210,7 @@ def _manifest(spec: SweepSpec, out: Path, cells: int, keeping: Keeping | None) -
     except DamagedManifest:
         set_aside(out, out / MANIFEST)
         what = f"was damaged and lies in {out / DAMAGED} now"
-    manifest = new_manifest(spec, names, cells)
+    manifest = new_manifest(spec, varying(spec), count(spec))
     if own_parts(out, manifest["hash"]):
         # Its parts may be all that there is to compute, and of other versions or another machine than these.
         manifest, origins = _recovered(manifest, origins_of(out))
@@ -216,6 +220,12 @@ def _manifest(spec: SweepSpec, out: Path, cells: int, keeping: Keeping | None) -
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
         return manifest
+    first, *further = [*([] if shard is None else asked_before(out, shard, spec)), spec]
+    manifest = new_manifest(first, varying(first), count(first))
+    for each in further:
+        manifest = grown(manifest, each)
+    if further:
+        tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
     return manifest | {ENTRY: as_json(keeping)}
 
 

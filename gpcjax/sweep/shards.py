@@ -16,7 +16,7 @@ from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.sweep import weights
 from gpcjax.sweep.growth import requests
-from gpcjax.sweep.layout import SHARDS
+from gpcjax.sweep.layout import MANIFEST, SHARDS
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import Cell, Program, plan, program_of
 from gpcjax.sweep.spec import from_dict
@@ -71,9 +71,9 @@ def check_shard(out: Path, shard: Shard | None, cells: int) -> None:
     """Refuse a folder of another share, or of a whole sweep for a share and the other way round. Writes nothing.
 
     Raises:
-        UserError: it is, or there are fewer cells than shares.
+        UserError: it is, or there are fewer cells than shares; a sweep in shards may grow by fewer.
     """
-    if shard is not None and shard.of > cells:
+    if shard is not None and shard.of > cells and not any(out.parent.glob(f"*-of-{shard.of}/{MANIFEST}")):
         raise UserError(f"shard {shard}: there are {cells:,} cells only, give i/n with n up to that")
     try:
         held = held_shard(read_manifest(out))

@@ -13,6 +13,8 @@ from gpcjax.report.groups import gather
 from gpcjax.report.statistics import Scores, best_and_tied
 from gpcjax.sweep.points import given as points_given
 from gpcjax.sweep.reading import read
+from gpcjax.sweep.requested import chosen_of
+from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune.objectives import Objective, by_point, point_scores, run_scores
 from gpcjax.tune.ranking import front, ranked
 from gpcjax.tune.space import Space, at_edge
@@ -67,13 +69,17 @@ class Found:
         )
 
 
-def found_in(folder: Path, algo: str, space: Space, objectives: Sequence[Objective]) -> Found:
-    """What the rows of a run folder say of one of its learners.
+def found_in(
+    folder: Path, algo: str, space: Space, objectives: Sequence[Objective], spec: SweepSpec | None = None
+) -> Found:
+    """What the rows of a run folder say of one of its learners; with a `spec` the rows of that alone.
 
     Raises:
         UserError: there are no rows of it, or no point has a score.
     """
     rows = read(folder, lambda line: None)
+    if spec is not None:
+        rows = chosen_of(rows, spec)
     frame = rows.episodes
     if frame.empty or algo not in set(frame["algo"]):
         raise UserError(f"{folder}: it holds no rows of {algo}")
