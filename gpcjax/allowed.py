@@ -36,7 +36,7 @@ class Numbers:
     def __str__(self) -> str:
         noun = "a whole number" if self.whole else "a number"
         if self.low == -math.inf and self.high == math.inf:
-            return "a finite number"
+            return noun if self.whole else "a finite number"
         if self.high < math.inf:
             return f"{noun} from {self.low:g} to {self.high:,.12g}"
         return f"{noun} above {self.low:g}" if self.above else f"{noun} of at least {self.low:g}"

@@ -5,6 +5,7 @@ list of them. A description is frozen; `make` and the experts are texts "module:
 so that naming what is built in loads nothing that computes.
 """
 
+import dataclasses
 import inspect
 import numbers
 from collections.abc import Callable, Mapping
@@ -170,6 +171,7 @@ class LearnerSpec:
     | `make`       | makes it, from `obs_size`, `action_size`, settings and options by name                |
     | `settings`   | numbers that a sweep may vary                                                        |
     | `options`    | further keyword arguments of `make`, which presets and Python may give                |
+    | `needs`      | those of them that a preset of the task must give, as there is no default              |
     | `columns`    | what it measures beside what is measured of all                                      |
     | `dictionary` | it holds points: it lives in blocks of growing capacity, and takes the options of one |
     | `uncertain`  | it knows how uncertain it is (sigma_h), so that a teacher may wait for that           |
@@ -182,6 +184,7 @@ class LearnerSpec:
     make: Make
     settings: tuple[Setting, ...] = ()
     options: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     columns: tuple[Column, ...] = ()
     dictionary: bool = False
     uncertain: bool = False
@@ -233,6 +236,9 @@ OF_EVERY_SWEEP = frozenset(
 )
 """Names of settings that no learner and no teacher can have for its own."""
 
+ELSEWHERE = frozenset("points quick engine address shard executor".split())
+"""Names that mean something else where settings are given: a setting of such a name could not be."""
+
 COLUMNS = frozenset(
     "episode return length corrections mean_rate asked chance policy_points human_points clipped full status "
     "step action_dim sigma_policy sigma_human appended replaced advice_rate "
@@ -241,9 +247,41 @@ COLUMNS = frozenset(
 """Names of columns of every sweep's tables, beside those of `OF_EVERY_SWEEP` and `seed`: nothing else can have them."""
 
 
+REPORTED = frozenset(
+    "runs stopped unfinished steps met_full never best tied oracle_return oracle_std idle_return idle_std "
+    "first second pairs excludes_zero".split()
+) | {
+    f"{name}{bound}"
+    for name in ("final_return", "area", "episodes_to_90", "corrections", "area_difference")
+    for bound in ("", "_lower", "_upper")
+}
+"""Names of columns of a report's tables, in which a setting that varies has one, too."""
+
+
 def is_column(name: str) -> bool:
     """Whether the tables of every sweep may have a column of this name."""
     return name in COLUMNS or name in OF_EVERY_SWEEP or name == "seed"
+
+
+def check_name(source: str, name: str) -> None:
+    """Whether a learner or a teacher may have a setting of this name; `source` begins the message.
+
+    Raises:
+        UserError: something else of every sweep, or of every report, has it.
+    """
+    for names, what in (
+        (OF_EVERY_SWEEP | ELSEWHERE, "setting of every sweep"),
+        ({*COLUMNS, "seed"}, "column of every sweep"),
+        (REPORTED, "column of every report"),
+    ):
+        if name in names:
+            raise UserError(f"{source} is a {what}, give it another name")
+
+
+def compiled_if_whole(setting: Setting) -> Setting:
+    """The setting, compiled in if its values are whole numbers: these are static fields (`gpcjax.fixed`)."""
+    whole = setting.kind is int and setting.compiled == "no"
+    return dataclasses.replace(setting, compiled="value") if whole else setting
 
 
 def settings_from(
@@ -251,10 +289,10 @@ def settings_from(
 ) -> tuple[Setting, ...]:
     """The arguments with a number as their default, but for `others`, of what makes a learner or a teacher.
 
-    Whole numbers are compiled in; all others are data of one program.
+    Whole numbers are compiled in; all others may be data of one program (`gpcjax.making.told_apart`).
 
     Raises:
-        UserError: one of them has the name of a setting or a column of every sweep; `source` begins the message.
+        UserError: one of them has a name that it cannot have (`check_name`); `source` begins the message.
     """
     fields = {each.name: each.default for each in getattr(found, "__dataclass_fields__", {}).values()}
     settings = []
@@ -262,9 +300,7 @@ def settings_from(
         default = fields.get(name, parameter.default)
         if name in others or not isinstance(default, numbers.Real) or isinstance(default, bool):
             continue
-        if is_column(name):
-            what = "setting" if name in OF_EVERY_SWEEP else "column"
-            raise UserError(f"{source}: its argument {name} is a {what} of every sweep, give it another name")
+        check_name(f"{source}: its argument {name}", name)
         whole = isinstance(default, numbers.Integral)
         settings.append(
             Setting(

@@ -1,10 +1,12 @@
 """Makes what a person's own module has: its class or function is called, and what it gives is looked at."""
 
+import dataclasses
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 from gpcjax.allowed import shown
+from gpcjax.describe import Setting
 from gpcjax.errors import ForeignError, UserError
 
 T = TypeVar("T")
@@ -41,3 +43,42 @@ class Maker(Generic[T]):
         except Exception as error:
             raise ForeignError(f"{self._source}: it cannot be made", error) from None
         return self._accepted(made)
+
+
+NEARBY = 1 + 2**-10
+"""A value that is this many times another one is allowed wherever that one is, but at a bound."""
+
+
+def told_apart(make: Callable[..., Any], settings: Sequence[Setting], **given: Any) -> tuple[Setting, ...]:
+    """The settings, each compiled in whose value is part of the structure of what is made, and not of its arrays alone.
+
+    A static field is such a part, and so is what a shape follows from: what is made with another value says so. Where
+    it can be made with none, the value may be a part.
+
+    Args:
+        make: makes a learner or a teacher from the values `given`, and of these settings.
+    """
+
+    def form(**values: Any) -> Any:
+        import jax
+
+        made = make(**given, **values)
+        return jax.tree.structure(made), [getattr(leaf, "shape", ()) for leaf in jax.tree.leaves(made)]
+
+    def is_part(setting: Setting) -> bool:
+        value = setting.default or 0.0
+        for other in (value * NEARBY, value / NEARBY) if value else (1 - 1 / NEARBY, 1 / NEARBY - 1):
+            try:
+                return form(**{setting.name: other}) != usual
+            except UserError:
+                continue
+        return True
+
+    try:
+        usual = form()
+    except UserError:
+        usual = None
+    return tuple(
+        dataclasses.replace(each, compiled="value") if each.compiled == "no" and is_part(each) else each
+        for each in settings
+    )

@@ -18,6 +18,7 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import compute_platform, notes
+from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
@@ -79,6 +80,8 @@ def sweep(arguments: argparse.Namespace) -> int:
         from gpcjax.sweep.sources import check_start  # which reads run folders
 
         check_start(spec, given["start"].source)
+    for line in left_out(spec.env) if "algo" not in given else ():
+        tell(line, 0)
     if arguments.dry_run:
         workers = f"in {jobs} processes" if executor is None else "in a Ray"
         share = "" if shard is None else f"shard {shard} of "

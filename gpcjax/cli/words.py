@@ -12,8 +12,8 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.cli.commands import COMMANDS
 from gpcjax.cli.flags import Command
 from gpcjax.errors import UserError
-from gpcjax.sweep.options import OPTIONS, parse
-from gpcjax.sweep.spec import Given, Unchecked
+from gpcjax.sweep.options import OPTIONS, OWNED, parse
+from gpcjax.sweep.spec import Given, Unchecked, said
 
 STATUSES = """exit status:
   0    done
@@ -198,7 +198,9 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given | Unchecked]:
     given: dict[str, Given | Unchecked] = {}
     for option in OPTIONS.values():
         value = getattr(arguments, option.name, None)
-        if value is not None:
+        if value is not None and option.name in OWNED:
+            given[option.name] = said(Unchecked(value, option.flag, option.flag, is_word=True), option)
+        elif value is not None:
             checked = value if option.kind is bool else parse(option, value, option.flag)
             given[option.name] = Given(checked, option.flag)
     for word in arguments.set:
@@ -210,7 +212,9 @@ def settings(arguments: argparse.Namespace) -> dict[str, Given | Unchecked]:
             raise UserError(f"{source} is given twice: give it once")
         option = OPTIONS.get(name)
         if option is None:
-            given[name] = Unchecked(text, source, key.strip())
+            given[name] = Unchecked(text, source, key.strip(), is_word=True)
+        elif name in OWNED:
+            given[name] = said(Unchecked(text, source, key.strip(), is_word=True), option)
         elif option.kind is bool:
             raise UserError(
                 f"{source}: a switch takes no value, give {option.flag} or --no-{option.flag[2:]}"

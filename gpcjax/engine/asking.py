@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gpcjax.engine import streams
 from gpcjax.engine.lanes import Lane, Phase
 from gpcjax.engine.lanewise import each, opaque, put, take
-from gpcjax.engine.stepping import moment_of
+from gpcjax.engine.stepping import moment_of, of_teachers
 from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, Status
 from gpcjax.moment import Moment
@@ -27,10 +27,10 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
     capacity (`gpcjax.engine.pool`), and is asked again when it has.
     """
     coins, here, asked = block_coins(block), moment_of(block), block.waiting
-    teacher = block.teacher.during(block.episode).recalling(block.memory)
+    teacher = block.teacher
     moment, allowed = here, asked
     if teacher.reach:
-        back = jnp.clip(teacher.about(here), 0, teacher.reach)
+        back = jnp.clip(of_teachers(block, lambda teacher, here: teacher.about(here), here), 0, teacher.reach)
         allowed &= back <= here.step
         assert block.history is not None
         moment = block.history.before(here, jnp.minimum(back, here.step))
@@ -40,7 +40,7 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
     target = _targets(block, expert, moment)
     sigma = _uncertainty(block, moment)
     moment = dataclasses.replace(moment, target=target, sigma_human=sigma)
-    advice = teacher.advise(coins, moment)
+    advice = of_teachers(block, lambda teacher, *others: teacher.advise(*others), coins, moment)
     advice = jnp.where(allowed[None], advice, 0.0)
     if not teacher.is_ours:
         invalid = ~jnp.isin(advice, jnp.array([-1.0, 0.0, 1.0])).all(0)
@@ -55,7 +55,7 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
         phase = jnp.where(stuck, jnp.int32(Phase.NEEDS_ROOM), block.phase)
         block = dataclasses.replace(block, phase=phase)
         advice, asked = jnp.where(stuck[None], 0.0, advice), asked & ~stuck
-    chance = teacher.chance(sigma).mean(0)
+    chance = of_teachers(block, lambda teacher, sigma: teacher.chance(sigma), sigma).mean(0)
     tally = dataclasses.replace(
         block.tally,
         asked=block.tally.asked + asked,

@@ -237,10 +237,15 @@ def fresh(
             values=jnp.zeros((LOGGED_CORRECTIONS, 3)),
             outcome=jnp.zeros((LOGGED_CORRECTIONS, 3), bool),
         ),
-        memory=jax.tree.map(jnp.asarray, teacher.init()) if teacher.watches else (),
+        memory=memory_of(teacher),
         history=History.empty(depth, learner.obs_size, learner.action_size),
         credit=credit,
     )
+
+
+def memory_of(teacher: Teacher) -> PyTree:
+    """What a teacher remembers before the first step, as arrays; nothing of one that does not watch."""
+    return jax.tree.map(jnp.asarray, teacher.init()) if teacher.watches else ()
 
 
 def empty_tally() -> Tally:

@@ -124,6 +124,7 @@ class Pool:
         kept: Keeper | None = None,
     ):
         self.counters = Counters()
+        self.template = template
         self._keep = keep
 
         def loop(grows: bool) -> Loop | HostLoop:

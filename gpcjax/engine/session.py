@@ -26,6 +26,7 @@ from gpcjax.engine.pupil import Pupil
 from gpcjax.engine.reopening import Told, reopened, replay
 from gpcjax.engine.single import single
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners.base import Info, Learner, State
 from gpcjax.learners.saved import load_learner, save_learner
@@ -83,6 +84,7 @@ class Session:
                 "undos": undos,
             }
         )
+        learner = fixed(learner)
         block = single(learner, state, credit_of(settings), settings["seed"])
         self._sit(learner, Course(Alone(learner, block), settings))
         self._begin_record(record)

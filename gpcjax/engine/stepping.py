@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import operator
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from gpcjax.engine.history import History
 from gpcjax.engine.lanes import Lane, Tally
 from gpcjax.moment import Moment
 from gpcjax.policies.base import Controller
+from gpcjax.teachers.base import Teacher
 
 
 def propose(
@@ -41,11 +43,32 @@ def seen(
     return Moment(obs=obs, action=action, episode=block.episode, step=time, draws=drawn)
 
 
+def of_teachers(
+    block: Lane, function: Callable[..., PyTree], *arguments: PyTree, recalls: bool = True
+) -> PyTree:
+    """`function(teacher, *arguments)` for the teacher of every lane as it is in its episode, with what it remembers.
+
+    The built-in ones have all lanes at once; of another one nobody knows whether it does not mix them: it sees one.
+    """
+
+    def asked(teacher: Teacher, episode: Array, memory: PyTree, *arguments: PyTree) -> PyTree:
+        teacher = teacher.during(episode)
+        return function(teacher.recalling(memory) if recalls else teacher, *arguments)
+
+    if not block.teacher.is_ours:
+        asked = jax.vmap(asked, in_axes=-1, out_axes=-1)
+    return asked(block.teacher, block.episode, block.memory, *arguments)
+
+
 def watch(block: Lane, memory: PyTree, moment: Moment, mask: Bool[Array, " lanes"]) -> PyTree:
     """The memories of the teachers of the lanes `mask` that take a step; nothing is done where none watches."""
     if not block.teacher.watches:
         return memory
-    after = block.teacher.during(block.episode).watch(memory, moment)
+
+    def watched(teacher: Teacher, memory: PyTree, moment: Moment) -> PyTree:
+        return teacher.watch(memory, moment)
+
+    after = of_teachers(block, watched, memory, moment, recalls=False)
     return jax.tree.map(lambda new, old: jnp.where(mask, new, old), after, memory)
 
 

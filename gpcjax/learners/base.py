@@ -45,8 +45,9 @@ class Learner(ByIdentity):
     Numbers are leaves, so that a grid over hyperparameters is a vmap; sizes and names are static.
 
     A learner of one's own writes `init`, `learn`, and `propose` (or `controller`, where something can be computed once
-    for many steps); all else has a default. Its fields that are numbers become settings of a sweep by themselves, those
-    that are whole numbers are compiled in. A state is a pytree of arrays whose shapes stay what `init` makes them.
+    for many steps); all else has a default. Its fields that are numbers become settings of a sweep by themselves. What
+    is no number to trace, whole numbers, truth values, texts, functions, is compiled in (`gpcjax.fixed`). A state is a
+    pytree of arrays whose shapes stay what `init` makes them.
     """
 
     obs_size: int = eqx.field(static=True, kw_only=True)

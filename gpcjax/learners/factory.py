@@ -22,6 +22,7 @@ from gpcjax.allowed import (
 )
 from gpcjax.describe import LearnerSpec, TaskSpec
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.appending import Appending
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.process import GaussianProcess
@@ -99,7 +100,8 @@ def make_learner(
     values = _known(values, names)
     for name in ("obs_size", "action_size"):
         values[name] = checked(name, values[name], int, COUNT)
-    return resolve(spec.make)(**values)
+    made = resolve(spec.make)(**values)
+    return made if algo in built_in("learner") else fixed(made)
 
 
 def sizes_of(task: TaskSpec) -> dict[str, int]:

@@ -18,6 +18,7 @@ import numpy as np
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
 from gpcjax.gp.renormalised import Renormalised
@@ -27,7 +28,7 @@ from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC, GPCState
-from gpcjax.learners.recipes import RECIPE, leaves_of, template_of_own
+from gpcjax.learners.recipes import RECIPE, check_plain, leaves_of, pack_own, recipe_of, template_of_own
 from gpcjax.policies.folder import FORMAT, first_line
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
@@ -38,6 +39,8 @@ _SCALES = ("scaling", "human_scaling")
 
 _BUILT_IN = (GPC, COACH, DCoach)
 
+_ANOTHER = "this learner and this state cannot be saved: give a learner as make_learner makes it, and one state of it"
+
 
 @under_own_settings
 def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -45,25 +48,41 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
 
     That is a card of JSON values, and named arrays of at least one entry each, with all their room (see `compact`).
 
+    One of a person's own is made again by its class, which must be found by its name in a module.
+
     Raises:
         ValueError: a learner or a state that has no format, that is not finite, or not the learner's.
     """
-    settings = _settings(checked_learner(learner), state)
+    if type(checked_learner(learner)) not in _BUILT_IN:
+        return _packed_own(fixed(learner), state)
+    settings = _settings(learner, state)
     template = _template(settings)
     given, expected = leaves_of((learner, state)), leaves_of(template)
     same = jax.tree.structure((learner, state)) == jax.tree.structure(template)
     if not same or {name: _kind(leaf) for name, leaf in given.items()} != {
         name: _kind(leaf) for name, leaf in expected.items()
     }:
-        raise UserError(
-            "this learner and this state cannot be saved: give a learner as make_learner makes it, and one state of it"
-        )
+        raise UserError(_ANOTHER)
     # Nothing is kept of arrays without entries, which the checkpoint does not take.
     arrays = {name: np.asarray(leaf) for name, leaf in given.items() if leaf.size}
     odd = _not_finite(arrays)
     if odd:
         raise UserError(f"this learner cannot be saved: {odd} is not finite")
     return {"format": FORMAT, "kind": "learner", **settings}, arrays
+
+
+def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The same of a learner of somebody's own, if its class makes such a one again."""
+    recipe = recipe_of(learner)
+    check_plain("this learner cannot be saved", recipe.algo, (learner, state))
+    card, arrays = pack_own(recipe, learner, state)
+    try:
+        template = template_of_own(card)
+    except UserError as error:
+        raise UserError(f"{_ANOTHER} ({error})") from None
+    if jax.tree.structure((learner, state)) != jax.tree.structure(template):
+        raise UserError(_ANOTHER)
+    return card, arrays
 
 
 @under_own_settings
@@ -139,10 +158,7 @@ def _settings(learner: Learner, state: State) -> dict[str, Any]:
         return {"algo": "coach", **sizes, "counts": list(learner.grid.counts)}
     if isinstance(learner, DCoach):
         return {"algo": "d-coach", **sizes, **{name: getattr(learner, name) for name in _SIZES_OF_D_COACH}}
-    if not isinstance(learner, GPC):
-        raise UserError(
-            f"there is no format for a {type(learner).__name__}: give a learner from make_learner"
-        )
+    assert isinstance(learner, GPC)
     try:
         capacities = {
             "policy": int(state.policy.points.shape[1]),

@@ -25,18 +25,50 @@ RECIPE = "recipe"
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a learner was made: `make_learner(algo, env, **settings)`.
+    """How a learner was made: `make_learner(algo, env, **settings)`; without a task, sizes are among the settings.
 
     Values are those of JSON; what is not named has the value that the task's presets or the learner itself give it.
     """
 
     algo: str
-    env: str
+    env: str | None
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
 
     def made(self) -> Learner:
         """The learner. Raises UserError, or what its own module raises, as ForeignError."""
         return make_learner(self.algo, self.env, **self.settings)
+
+
+def recipe_of(learner: Learner) -> Recipe:
+    """How a learner of somebody's own class can be made again: by that class, with what is compiled in.
+
+    All else that tells it from others is in its arrays.
+
+    Raises:
+        UserError: its class is not to be found by its name.
+    """
+    name = f"{type(learner).__module__}:{type(learner).__qualname__}"
+    if "<" in name:
+        raise UserError(f"learner {name}: its class is defined within a function, define it in a module")
+    settings = {"obs_size": learner.obs_size, "action_size": learner.action_size}
+    for each in find("learner", name, "learner").settings:
+        if each.compiled == "value" and hasattr(learner, each.name):
+            settings[each.name] = np.asarray(getattr(learner, each.name)).item()
+    return Recipe(name, None, settings)
+
+
+def check_plain(place: str, name: str, tree: Any) -> None:
+    """Refuses a learner and its state (or their shapes) with a part that is no array of numbers, such as a random key.
+
+    Raises:
+        UserError: it begins with `place`, and has the learner's `name`.
+    """
+    for part, leaf in leaves_of(tree).items():
+        if not _is_plain(leaf):
+            raise UserError(
+                f"{place}: what {name} learns cannot be kept, as its {part} is no array of numbers (of a "
+                "random key, jax.random.key_data is one)"
+            )
 
 
 @under_own_settings
@@ -46,12 +78,7 @@ def check_recipe(recipe: Recipe, place: str) -> None:
     Raises:
         UserError: a part of it is no array of numbers, such as a random key; `place` begins the message.
     """
-    for name, leaf in leaves_of(_shapes(recipe.made())).items():
-        if not _is_plain(leaf):
-            raise UserError(
-                f"{place}: what {recipe.algo} learns cannot be kept, as its {name} is no array of numbers (of a "
-                "random key, jax.random.key_data is one)"
-            )
+    check_plain(place, recipe.algo, _shapes(recipe.made()))
 
 
 @under_own_settings
@@ -83,7 +110,8 @@ def template_of_own(card: Mapping[str, Any]) -> tuple[Learner, State]:
         KeyError, TypeError: it is no such card.
     """
     told = card[RECIPE]
-    recipe = Recipe(str(told["algo"]), str(told["env"]), dict(told["settings"]))
+    env = None if told["env"] is None else str(told["env"])
+    recipe = Recipe(str(told["algo"]), env, dict(told["settings"]))
     learner, state = _shapes(recipe.made())
     shapes = {name: tuple(shape) for name, shape in card["shapes"].items()}
     known = {name: np.shape(leaf) for name, leaf in leaves_of((learner, state)).items()}
@@ -116,4 +144,5 @@ def _shapes(learner: Learner) -> tuple[Learner, State]:
 
 def _is_plain(leaf: Any) -> bool:
     """Whether numpy has this type, so that its bytes can be read again: no random key, no bfloat16."""
-    return isinstance(leaf.dtype, np.dtype) and leaf.dtype.kind in "biufc"
+    kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+    return isinstance(kind, np.dtype) and kind.kind in "biufc"

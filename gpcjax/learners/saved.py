@@ -13,7 +13,7 @@ from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.packed import checked_learner, pack_learner, template_of, unpacked
 from gpcjax.policies.folder import CARD, read_arrays, read_card, write_folder
-from gpcjax.policies.saved import save_controller
+from gpcjax.policies.saved import has_format, save_controller
 
 _OWN = ("learner", "obs_size", "action_size")
 """What the card of a policy says of its learner."""
@@ -22,6 +22,8 @@ _OWN = ("learner", "obs_size", "action_size")
 @under_own_settings
 def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> None:
     """Writes the policy of `state` into a new folder, for `load_policy`.
+
+    One without a form of its own, as a learner of a person's own may have, is kept as the learner that it follows from.
 
     Args:
         path: the folder; it must not exist.
@@ -38,9 +40,12 @@ def save_policy(path: Any, learner: Any, state: State, **provenance: Any) -> Non
     if taken:
         raise UserError(f"{taken[0]}: the learner says it itself, leave it out")
     sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
-    save_controller(
-        path, learner.policy_of(state).controller, {"learner": type(learner).__name__, **sizes, **provenance}
-    )
+    told = {"learner": type(learner).__name__, **sizes, **provenance}
+    controller = learner.policy_of(state).controller
+    if has_format(controller):
+        return save_controller(path, controller, told)
+    card, arrays = pack_learner(learner, state)
+    write_folder(path, {**card, "provenance": told}, arrays)
 
 
 @under_own_settings

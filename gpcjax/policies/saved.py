@@ -21,6 +21,7 @@ from gpcjax.policies.folder import CARD, FORMAT, FORMATS, Shapes, read_arrays, r
 from gpcjax.policies.kinds import KINDS, Arrays, Kind, Settings
 from gpcjax.policies.kinds import Unfit as Unfit
 from gpcjax.policies.policy import Controller, Policy
+from gpcjax.registry import resolve
 
 
 def save_controller(path: Any, controller: Controller, provenance: Mapping[str, Any]) -> None:
@@ -70,7 +71,8 @@ def pack_controller(controller: Controller) -> tuple[dict[str, Any], dict[str, n
 def load_policy(path: Any) -> Policy:
     """The policy saved at `path`, a function obs (obs_size,) -> action (action_size,) in [-1, 1].
 
-    It may be called directly, which loads no jax (see `Policy`), or inside jit and vmap.
+    It may be called directly, which loads no jax (see `Policy`), or inside jit and vmap. That of a person's own
+    learner needs jax, and that learner's module.
 
     Args:
         path: the folder that `save_policy` wrote.
@@ -79,6 +81,10 @@ def load_policy(path: Any) -> Policy:
         ValueError: there is no policy at `path`, one of another format, or one that is damaged; the message names the
             file.
     """
+    card = read_card(path, "policy")
+    if card.get("kind") == "learner" and "recipe" in card:  # of `gpcjax.learners.recipes`
+        learner, state = resolve("gpcjax.learners.saved:load_learner")(path)
+        return learner.policy_of(state)
     card = load_card(path)
     try:
         return unpack_policy(card, read_arrays(path, card, "policy"))

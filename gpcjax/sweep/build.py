@@ -12,13 +12,15 @@ import numpy as np
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
+from gpcjax.engine.evaluate import idle
 from gpcjax.engine.history import Credit
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
-from gpcjax.envs.registry import expert_names, make_env, make_expert
+from gpcjax.envs.registry import NOBODY, expert_names, make_env, make_expert
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.batching import together
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.descriptions import CREDIT
@@ -29,7 +31,7 @@ from gpcjax.registry import built_in, find, resolve
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, Program, program_of
-from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_teacher
+from gpcjax.sweep.rehearsal import rehearse_learner, rehearse_task, rehearse_teacher
 from gpcjax.sweep.scales import SCALES
 from gpcjax.teachers.base import Teacher
 from gpcjax.teachers.oracle import Advisor, synthesised
@@ -82,10 +84,15 @@ def pack_learned(cell: Cell, learner: Learner, state: State) -> tuple[dict[str, 
     return pack_own(recipe_of(cell), learner, state)
 
 
+def _own(spec: LearnerSpec | TeacherSpec, values: Mapping[str, float]) -> dict[str, Any]:
+    """The values of its settings, of the type that it takes: another one may have the same name for whole numbers."""
+    kinds = {each.name: each.kind for each in spec.settings}
+    return {name: kinds[name](value) for name, value in values.items() if name in kinds}
+
+
 def _recipe(cell: Cell, values: Mapping[str, float], capacity: int | None = None) -> Recipe:
     spec: LearnerSpec = find("learner", cell.algo)
-    names = {setting.name for setting in spec.settings}
-    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options = _own(spec, values)
     options |= {name: list(factors) for name in SCALES if (factors := getattr(cell, name))}
     if spec.dictionary:
         first = _tiers(program_of(cell))[0]
@@ -102,8 +109,7 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     spec: TeacherSpec = find("teacher", cell.teacher)
     make = resolve(spec.make)
     takes = inspect.signature(make).parameters
-    names = {setting.name for setting in spec.settings}
-    options: dict[str, Any] = {name: value for name, value in values.items() if name in names}
+    options = _own(spec, values)
     options |= {name: getattr(cell, name) for name in _OF_THE_EXPERIMENT if name in takes}
     if "time_step" in takes:
         options["time_step"] = find("task", cell.env).seconds
@@ -112,7 +118,7 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
             raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
         last = cell.rate_schedule[-1:] * cell.episodes
         options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
-    return make(**options)
+    return fixed(make(**options))
 
 
 def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | None = None) -> Pool:
@@ -121,18 +127,19 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     What it compiles it looks for in `programs`, where that is kept.
     """
     program = program_of(cell)
-    template = start_of(dataclasses.replace(cell, start=None))
+    env, learner = make_env(program.env), recipe_of(cell).made()
+    teacher = _teacher(cell, dict(cell.hyperparameters))
+    if program.env not in built_in("task"):
+        rehearse_task(program.env, env)
     if cell.algo not in built_in("learner"):
-        specs: tuple[LearnerSpec, TeacherSpec] = find("learner", cell.algo), find("teacher", cell.teacher)
-        rehearse_learner(cell.algo, template.learner, {each.name for spec in specs for each in spec.settings})
-    if not template.teacher.is_ours:
-        rehearse_teacher(
-            cell.teacher, template.teacher, template.learner.obs_size, template.learner.action_size
-        )
+        rehearse_learner(cell.algo, learner)
+    if not teacher.is_ours:
+        rehearse_teacher(cell.teacher, teacher, learner.obs_size, learner.action_size)
+    template = start_of(dataclasses.replace(cell, start=None))
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
-        env=make_env(program.env),
-        expert=make_expert(program.env, program.oracle),
+        env=env,
+        expert=idle(env) if program.oracle == NOBODY else make_expert(program.env, program.oracle),
         episodes=program.episodes,
         template=template,
         tiers=_tiers(program),

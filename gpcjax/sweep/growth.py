@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
+from gpcjax.sweep.labels import LABELS, labels_of
 from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns, settings_of
 from gpcjax.sweep.plan import Cell, canonical, hash_of, joint_of, plan, varying
@@ -90,6 +91,7 @@ def grown(manifest: Mapping[str, Any], spec: SweepSpec) -> dict[str, Any]:
         "format": GROWN,
         "hash": hash_of(as_dict(union)),
         "specification": as_dict(union),
+        **labels_of(spec, manifest.get(LABELS)),
         "varying": names,
         "asked": asked,
         "cells": manifest["cells"] + new,

@@ -177,6 +177,8 @@ OF_LEARNERS, OF_TEACHERS = (
 """Of the built-in ones."""
 OF_CREDIT = _tuning(CREDIT)
 TUNING = OF_LEARNERS + OF_TEACHERS + OF_CREDIT
+OWNED = frozenset(option.name for option in OF_LEARNERS + OF_TEACHERS)
+"""Names that others may have for settings of their own, with bounds of their own."""
 
 RUNNING = (
     Option("out", str, Anything("the path of a folder"), "run folder", otherwise="runs/ENV-HASH"),

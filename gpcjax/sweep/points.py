@@ -77,9 +77,16 @@ def as_json(points: Iterable[Point]) -> list[dict[str, float]]:
 def from_json(tables: Any) -> tuple[Point, ...]:
     """What `as_json` gave. Raises TypeError, ValueError or AttributeError for anything else."""
     return tuple(
-        tuple((str(name), float(value)) for name, value in sorted(table.items(), key=_order(tables)))
+        tuple((str(name), _number(value)) for name, value in sorted(table.items(), key=_order(tables)))
         for table in tables
     )
+
+
+def _number(value: Any) -> float:
+    """The number as it is: a whole one written as another makes another hash."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise TypeError(f"{shown(value)} is no number")
+    return value
 
 
 def _order(tables: Any) -> Callable[[tuple[str, float]], int]:

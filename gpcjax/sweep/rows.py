@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.sweep.growth import setting_of
 from gpcjax.sweep.keeping import KeptRow
@@ -167,11 +166,6 @@ def _table(
         name: repeated([getattr(row.cell, name) for row in rows], kind)
         for name, kind in zip(IDENTITY, _KINDS, strict=True)
     }
-    own = {name for row in rows for name in row.own}
-    if twice := own.intersection(varying):
-        raise UserError(
-            f"{min(twice)}: one learner measures it and it is a setting of another, give it another name"
-        )
     settings = {
         correction_column(name) if name in columns else name: repeated(
             [setting_of(row.cell, name) for row in rows], pa.float64()

@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.allowed import checked, checked_path
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
+from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.growth import covering, grown, requests
 from gpcjax.sweep.keepable import check_keeping, check_kept, refuse_other
 from gpcjax.sweep.keeping import ENTRY, Keeping, as_json, keeping_of
+from gpcjax.sweep.labels import labels_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
@@ -95,6 +98,8 @@ def sweep(
     check_kept(folder, keeping, spec)
     _check_start(spec)
     make_writable(folder)
+    for line in left_out(spec.env) if "algo" not in settings else ():
+        tell(line)
     run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
@@ -309,7 +314,7 @@ class _Sweep:
         known = self._manifest["baselines"]
         names = [
             *(["idle"] if known["idle"] is None else []),
-            *(n for n in self._spec.oracle if n not in known["oracles"]),
+            *(n for n in self._spec.oracle if n not in known["oracles"] and n != NOBODY),
         ]
         return [(self._spec.env, name) for name in names]
 
@@ -359,6 +364,7 @@ def new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any
         "format": FORMAT,
         "hash": specification_hash(spec),
         "specification": as_dict(spec),
+        **labels_of(spec),
         "varying": names,
         "cells": cells,
         "baselines": {"idle": None, "oracles": {}},

@@ -18,6 +18,7 @@ from gpcjax.sweep.executors.base import Orders, Say
 from gpcjax.sweep.keeping import KeptRow, What
 from gpcjax.sweep.packing import packed
 from gpcjax.sweep.plan import Cell
+from gpcjax.sweep.rehearsal import check_alike
 from gpcjax.sweep.rows import CellRows
 
 
@@ -51,7 +52,9 @@ class Runs:
         cell = self._cells.popleft()
         going_on = self._saved.go_on(cell, self._pool)
         if going_on is None:
-            return start_of(cell)
+            start = start_of(cell)
+            check_alike(cell, start, self._pool.template)
+            return start
         run, self._kept[cell] = going_on
         return run
 

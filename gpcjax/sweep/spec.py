@@ -1,23 +1,26 @@
 """What a sweep is: one frozen specification made from flags, a TOML file or Python. Loads no jax."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find
 from gpcjax.sweep import points as joint
-from gpcjax.sweep.fitting import check_advised, check_concerns
+from gpcjax.sweep.fitting import check_advised, check_concerns, learners_for
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
+    OWNED,
     TUNING,
     VARIANTS,
+    Option,
     accept,
     option_of,
     parse,
@@ -48,7 +51,10 @@ class SweepSpec:
     episodes: int
     """Episodes of each run."""
     oracle: tuple[str, ...]
-    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`."""
+    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`.
+
+    `NOBODY` alone where the task has none and the teacher wants none.
+    """
     delta: tuple[float, ...]
     """Distances from the target within which the teacher is silent, in units of the action."""
     rate: tuple[float, ...]
@@ -91,6 +97,29 @@ class Unchecked(NamedTuple):
     """As it was written."""
     counts: bool = True
     """Whether it is a setting of this sweep, and not one of a table that is not used."""
+    is_word: bool = False
+    """Whether it is a text of a command line, which stands for numbers."""
+
+
+class Said(Given):
+    """What is checked as that of the built-in learners and teachers, whose name another one's setting may have, too."""
+
+    unchecked: Unchecked | None = None
+    """The same as it came: others have bounds of their own."""
+
+
+def said(setting: Unchecked, option: Option) -> Given | Unchecked:
+    """A setting of a name that built-in learners or teachers have; not checked where theirs would be refused."""
+    try:
+        given = Said(_read(option, setting), setting.source)
+    except UserError:
+        return setting
+    given.unchecked = setting
+    return given
+
+
+def _read(option: Option, setting: Unchecked) -> Any:
+    return (parse if setting.is_word else accept)(option, setting.value, setting.source)
 
 
 LATENESS = {*CREDIT, *DELAY}
@@ -148,7 +177,8 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
         raise UserError(f"no env: give {OPTIONS['env'].allowed} (--env, or env = in the TOML file)")
     settings = {name: setting.value for name, setting in given.items() if isinstance(setting, Given)}
     task = find("task", settings["env"])
-    algo = settings.get("algo", OPTIONS["algo"].default)
+    asked = given.get("algo")
+    algo = learners_for(task, asked if isinstance(asked, Given) else None)
     learners = [find("learner", name) for name in algo]
     teacher = find("teacher", settings.get("teacher", ORACLE))
     if teacher.live and not live:
@@ -165,8 +195,9 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     check_concerns(known, algo, learners, teacher)
     value = {name: setting.value for name, setting in known.items() if name in given}
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
+        "algo": algo,
         "episodes": task.episodes,
-        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
+        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1] or (NOBODY,),
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
         **dict.fromkeys(SCALES, ()),
@@ -190,18 +221,23 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
 def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Setting, ...]]) -> Given:
     """The setting, checked by those of the sweep that have it, if it is none of the built-in ones."""
     if isinstance(setting, Given):
-        if name in own and name in OPTIONS:  # its bounds may be others where somebody else has the same word
-            for each in own[name]:
-                accept(option_of(each), setting.value, setting.source)
-        return setting
+        if name not in own or name not in OPTIONS:
+            return setting
+        setting = getattr(setting, "unchecked", None) or Unchecked(setting.value, setting.source, name)
+    if name not in own and name in OPTIONS:
+        return Given(_read(OPTIONS[name], setting), setting.source)
     if name not in own:
         known = list(dict.fromkeys([*OPTIONS, *own]))
         key, near = shown(setting.key), suggestion(name, known)
         prefix = setting.source.removesuffix(setting.key)
         raise UserError(f"{prefix}{key} is no setting{near}: give {', '.join(known)}")
-    read = parse if isinstance(setting.value, str) else accept
-    first, *others = (read(option_of(each), setting.value, setting.source) for each in own[name])
-    return Given(others[-1] if others else first, setting.source)
+    return Given(_strictest(own[name], lambda option: _read(option, setting)), setting.source)
+
+
+def _strictest(owners: Sequence[Setting], read: Callable[[Option], Any]) -> Any:
+    """What all who have a setting take, as whole numbers if one of them wants such."""
+    values = {each.kind: read(option_of(each)) for each in owners}
+    return values.get(int, values.get(float))
 
 
 def _points(
@@ -217,10 +253,10 @@ def _points(
             )
         if name in alone:
             raise UserError(f"{alone[name].source}: it is a setting of the points, too: give it in one place")
-        checked = [accept(option_of(each), value, source) for each in own[name]]
-        if len(checked[-1]) != 1:
+        checked = _strictest(own[name], lambda option: accept(option, value, source))
+        if len(checked) != 1:
             raise UserError(f"{source} {shown(value)}: give one number for each point")
-        return checked[-1][0]
+        return checked[0]
 
     return () if given is None else joint.accepted(given.value, given.source, accepted)
 
@@ -260,7 +296,9 @@ def accepted_of(table: Mapping[str, Any], prefix: str) -> dict[str, Given | Unch
         if isinstance(value, Mapping) and name not in (*OPTIONS, POINTS):
             near = suggestion(name, OPTIONS)
             raise UserError(f"{prefix}{shown(key)} is no setting{near}: give {', '.join(OPTIONS)}")
-        if name in OPTIONS:
+        if name in OWNED:
+            accepted[name] = said(Unchecked(value, source, key), OPTIONS[name])
+        elif name in OPTIONS:
             accepted[name] = Given(accept(OPTIONS[name], value, source), source)
         else:
             accepted[name] = Unchecked(value, source, key)

@@ -63,6 +63,11 @@ class Course:
             if isinstance(setting.value, tuple) and len(setting.value) > 1:
                 raise UserError(f"{setting.source}: one person teaches one learner at a time, give one value")
         spec = make_spec(given | {"teacher": Given("person", "teacher")}, live=True)
+        for name, values in spec.hyperparameters.items():
+            if len(values) > 1:
+                raise UserError(
+                    f"{given[name].source}: one person teaches one learner at a time, give one value"
+                )
         numbers = ((name, values[0]) for name, values in spec.hyperparameters.items())
         return cls(spec.env, spec.algo[0], tuple(numbers), seed)
 

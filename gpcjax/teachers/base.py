@@ -11,9 +11,12 @@ from gpcjax.moment import Moment
 
 Memory = PyTree
 
+_OF_A_LANE = ("watch", "during", "recalling", "chance", "about", "advise")
+"""The methods that the built-in teachers have for all lanes at once."""
+
 
 class Teacher(eqx.Module):
-    """Gives advice on one step of one lane. Leaves and arguments may carry lanes as LAST axes.
+    """Gives advice on one step of one lane. Arguments of the built-in ones may carry lanes as LAST axes (`is_ours`).
 
     A teacher is given one uniform number, a coin, for each step and action dimension, and everything random that it
     does follows from it and from `Moment.draws`: as these depend on nothing but (seed, episode, step, dimension) the
@@ -42,8 +45,12 @@ class Teacher(eqx.Module):
 
     @property
     def is_ours(self) -> bool:
-        """Whether its advice is gpcjax's own, so known to be -1, 0 or 1; another's is looked at. Static."""
-        return type(self).advise.__module__.startswith("gpcjax.")
+        """Whether all that it does is gpcjax's own. Static.
+
+        Then its advice is known to be -1, 0 or 1, and it is asked for all lanes at once; another's is looked at, and
+        sees one lane at a time.
+        """
+        return all(getattr(type(self), name).__module__.startswith("gpcjax.") for name in _OF_A_LANE)
 
     def init(self) -> Memory:
         """What it remembers before the first step of a run: a pytree of arrays, of one lane."""

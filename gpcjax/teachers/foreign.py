@@ -8,7 +8,8 @@ from typing import Any
 from gpcjax.allowed import shown
 from gpcjax.describe import TeacherSpec, settings_from
 from gpcjax.errors import UserError
-from gpcjax.making import Maker
+from gpcjax.fixed import fixed
+from gpcjax.making import Maker, told_apart
 from gpcjax.teachers.base import Teacher
 
 _OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05, "time_step": 1.0}
@@ -18,7 +19,7 @@ _OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05, "time_step": 1.0}
 def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
     """The description of a teacher of a person's own: a class, or a function, that makes it from its settings.
 
-    It is made once, to see what it is. Arguments with a number as their default become settings; `rate`, `error`
+    It is made, to see what it is. Arguments with a number as their default become settings; `rate`, `error`
     and `delta` are those of the sweep, `time_step` the task's (seconds).
 
     Raises:
@@ -30,11 +31,12 @@ def teacher_of(name: str, found: Callable[..., Any]) -> TeacherSpec:
     source = f"teacher {name}"
     make = Maker(source, found, functools.partial(_accepted, source))
     settings = settings_from(source, found, others=(*_OF_A_SWEEP, "schedule"))
-    make(**{word: value for word, value in _OF_A_SWEEP.items() if word in make.__signature__.parameters})
-    return TeacherSpec(name=name, make=make, settings=settings)
+    given = {word: value for word, value in _OF_A_SWEEP.items() if word in make.__signature__.parameters}
+    make(**given)
+    return TeacherSpec(name=name, make=make, settings=told_apart(make, settings, **given))
 
 
 def _accepted(source: str, made: Any) -> Teacher:
     if not isinstance(made, Teacher):
         raise UserError(f"{source}: {shown(made)} is no teacher, give a subclass of gpcjax.Teacher")
-    return made
+    return fixed(made)

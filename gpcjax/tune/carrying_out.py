@@ -74,6 +74,8 @@ class Result(NamedTuple):
 
 def carry_out(wishes: Wishes) -> int:
     """Searches, judges on other seeds, draws, and tells of it; gives the exit status."""
+    if wishes.method == "mll":  # which computes in this process
+        compute_here()
     result = carried_out(wishes)
     _tell(wishes, result)
     return 0
@@ -235,8 +237,6 @@ def _beside(found: Found) -> str:
 
 def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
     assert wishes.runs is not None
-    if "jax" not in sys.modules:
-        compute_here()
     from gpcjax.tune.likelihood import by_likelihood  # which loads jax
 
     fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, take=wishes.take, seeds=wishes.check)

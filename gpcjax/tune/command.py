@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.installed import require_set_up
 from gpcjax.registry import find
 from gpcjax.sweep.atomic import target_of
 from gpcjax.sweep.layout import GIVE_NEW
@@ -140,6 +141,7 @@ def checked(
     wishes = _wishes(own, look, given, which, cores, as_json)
     _refuse_another(wishes)
     if wishes.method == "tpe" and importlib.util.find_spec("optuna") is None:
+        require_set_up()
         raise UserError(f"{own['method'].source} tpe needs Optuna: pip install 'gpcjax[tune]'")
     return wishes
 

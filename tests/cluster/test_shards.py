@@ -3,12 +3,13 @@
 import dataclasses
 import json
 import shutil
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep import costs, machine, merging
+from gpcjax.sweep import machine, merging, weights
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.growth import grown
 from gpcjax.sweep.manifest import read_manifest, write_manifest
@@ -28,8 +29,8 @@ CELLS = plan(SPEC)
 
 def cost(cells):
     """Seconds of a share, as they are reckoned before anything ran."""
-    first = sum(costs.compiling(program.algo) for program in {program_of(cell) for cell in cells})
-    return first + sum(costs.of_episode(cell.env, cell.algo, cell.oracle) * cell.episodes for cell in cells)
+    first = sum(weights.of_program(program.algo) for program in {program_of(cell) for cell in cells})
+    return first + sum(weights.of_episode(cell.env, cell.algo, cell.oracle) * cell.episodes for cell in cells)
 
 
 class TestShares:
@@ -44,9 +45,17 @@ class TestShares:
             parts = shares(CELLS, of)
             least = max(cost(CELLS) / of, max(cost([cell]) for cell in CELLS))
             # Wherever a program is cut, it is compiled once more.
-            assert max(map(cost, parts)) <= least + costs.compiling("gpc-ns") + 1.0
+            assert max(map(cost, parts)) <= least + weights.of_program("gpc-ns") + 1.0
             programs = [len({program_of(cell) for cell in part}) for part in parts]
             assert sum(programs) <= 3 + of - 1
+
+    def test_which_cells_a_share_has_never_changes(self):
+        """Shards that were made by another version, with another table of costs, fit together with these."""
+        parts = [
+            Counter(cell.algo for cell in part)
+            for part in shares(plan(spec_of(env="cartpole", algo=["gpc", "gpc-ns", "coach"], seeds=100)), 3)
+        ]
+        assert parts == [{"gpc": 100}, {"gpc-ns": 65}, {"gpc-ns": 35, "coach": 100}]
 
     def test_more_than_there_are_cells(self):
         parts = shares(CELLS[:2], 4)

@@ -6,14 +6,19 @@ import pytest
 
 import gpcjax
 from docs.making import columns, flags
+from gpcjax import registry
+from gpcjax.allowed import FINITE
 from gpcjax.cli.commands import COMMANDS
-from gpcjax.describe import is_column, settings_from
+from gpcjax.describe import check_name, is_column, settings_from
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
+from gpcjax.report.groups import gather
+from gpcjax.report.summary import summarise
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import tables_of
 from gpcjax.sweep.spec import spec_of
+from tests.report import synthetic
 from tests.sweep.pretended import rows
 
 TABLES = {EPISODES: gpcjax.load, CORRECTIONS: gpcjax.load_corrections, KEPT: gpcjax.load_policies}
@@ -44,6 +49,28 @@ def test_no_setting_and_no_measurement_of_ones_own_has_a_name_of_these():
 
     with pytest.raises(UserError, match="algo mine:it: its argument chance is a column of every sweep, give"):
         settings_from("algo mine:it", learner, others=("obs_size", "action_size"))
+
+
+def test_no_setting_of_ones_own_has_a_name_of_a_reports():
+    """Where it varies it has a column there, whoever described it: the tables themselves say which names are taken."""
+    frame = synthetic.episodes(errors=(0.0,), seeds=3, length=4)
+    report = summarise(gather(frame, synthetic.manifest(frame)))
+    for table in (report.table(), report.difference_table()):
+        for name in table.columns:
+            with pytest.raises(
+                UserError, match=r"^it is a (setting|column) of every (sweep|report), give it another"
+            ):
+                check_name("it", name)
+    described = gpcjax.LearnerSpec("own", make="", settings=(gpcjax.Setting("tied", "", FINITE, "it"),))
+    with pytest.raises(
+        UserError, match=r"^algo mine:OWN: its setting tied is a column of every report, give it"
+    ):
+        registry.described("learner", "mine:OWN", described)
+    described = gpcjax.TeacherSpec("own", make="", settings=(gpcjax.Setting("chance", "", FINITE, "it"),))
+    with pytest.raises(
+        UserError, match=r"^teacher mine:OWN: its setting chance is a column of every sweep, give it"
+    ):
+        registry.described("teacher", "mine:OWN", described)
 
 
 def test_what_learners_measure_besides_is_told():

@@ -319,3 +319,49 @@ def test_what_nobody_uses_is_not_there(where):
     assert lane.history is None and lane.memory == () and lane.credit is None
     late = make_pool(RECORDED[where], begun(0, learner("coach"), person(delay=0.5), 0), (WIDE,), EPISODES)
     assert late._blocks[0]._empty().history.obs.shape == (5, 2, 8)
+
+
+class ForOneLane(Teacher):
+    """Written for one lane throughout: what it computes would mix lanes, or fail, if it were given several."""
+
+    rate: jax.Array
+    far: jax.Array | None = None
+
+    reach = 1
+
+    def init(self):
+        return {"furthest": jnp.zeros(())}
+
+    def watch(self, memory, moment):
+        return {"furthest": jnp.maximum(memory["furthest"], jnp.linalg.norm(moment.obs))}
+
+    def recalling(self, memory):
+        return dataclasses.replace(self, far=memory["furthest"])
+
+    def may_advise(self, coins, largest_sigma, step):
+        return coins < self.rate
+
+    def about(self, moment):
+        return (jnp.linalg.norm(moment.obs) > 1).astype(jnp.int32)
+
+    def chance(self, sigma_human):
+        return self.rate * sigma_human.size * jnp.ones(2)
+
+    def advise(self, coins, moment):
+        speaks = (
+            (coins < self.rate) & (jnp.linalg.norm(moment.obs) > 0.5 * self.far) & (moment.target.size == 2)
+        )
+        return jnp.where(speaks, jnp.sign(moment.target - moment.action), 0.0)
+
+
+def test_a_teacher_of_ones_own_sees_one_lane():
+    """Alone and among others it says the same, and learners learn the same of it."""
+    each = [begun(seed, learner("coach"), ForOneLane(jnp.asarray(0.5)), seed) for seed in range(5)]
+    among = run(make_pool(RECORDED["compiled"], each[0], (WIDE,), 2), each)
+    alone = run(make_pool(RECORDED["compiled"], each[0], (WIDE,), 2), each[:1])
+    for got, expected in zip(*(jax.tree.leaves(kept(lanes[0])) for lanes in (among, alone)), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    lane = alone[0]
+    assert lane.rows.corrections.sum() > 0
+    np.testing.assert_allclose(lane.rows.chance_sum, 2 * 0.5 * lane.rows.asked)
+    assert len({float(each.memory["furthest"]) for each in among.values()}) == 5

@@ -2,7 +2,12 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +22,7 @@ from gpcjax.learners.recipes import Recipe, check_recipe, pack_own
 from gpcjax.sweep.packing import packed, unpacked
 from tests.trees import assert_same_bits
 
+ROOT = Path(__file__).parents[2]
 HERE = "tests.learners.test_recipes"
 (SPEC,) = (spec for spec in LEARNERS if spec.name == "gpc")
 GROWING = dataclasses.replace(SPEC, name=f"{HERE}:GROWING")
@@ -113,3 +119,66 @@ def test_its_state_goes_to_its_own_kind():
     assert carried(learner, state, other, (1, 1)) is state
     with pytest.raises(UserError, match="of a Counting of another kind"):
         carried(learner, state, gpcjax.make_learner("gpc", "mountaincar"), (1, 1))
+
+
+class Wide(Counting):
+    """What is compiled in is part of how it is made again; a function that is not the usual one cannot be."""
+
+    units: int = 2
+    share: float = eqx.field(default=0.5, static=True)
+    activation: Callable = jnp.tanh
+
+    def init(self, key=None):
+        state = super().init(jax.random.key(0) if key is None else key)
+        return {**state, "more": jnp.full(self.units, self.share)}
+
+
+GO_ON = """
+import sys, gpcjax
+session = gpcjax.Session.load(sys.argv[1])
+for step in range(3):
+    session.propose([0.1 * step, -0.2])
+    session.advise([1])
+session.save(sys.argv[2])
+print(repr(float(gpcjax.load_policy(sys.argv[3])([0.3, 0.01])[0])))
+"""
+
+
+def test_the_public_functions_save_it_too(tmp_path):
+    """A session of it goes on in another process, to the bit; its policy is loaded there."""
+    learner = gpcjax.make_learner(f"{HERE}:Wide", "mountaincar", units=3, share=0.25)
+    session = gpcjax.Session(learner)
+    for obs in ([0.5, 0.1], [-0.3, 0.0]):
+        session.propose(obs)
+        session.advise([-1])
+    session.save(tmp_path / "session")
+    gpcjax.save_policy(tmp_path / "policy", learner, session.state)
+    command = [
+        sys.executable,
+        "-c",
+        GO_ON,
+        *(str(tmp_path / name) for name in ("session", "later", "policy")),
+    ]
+    done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
+    assert float(done.stdout) == float(session.policy()([0.3, 0.01])[0])
+    for step in range(3):
+        session.propose([0.1 * step, -0.2])
+        session.advise([1])
+    again, state = gpcjax.load_learner(tmp_path / "later")
+    assert_same_bits((again, state), (learner, session.state))
+    assert (again.units, again.share, float(again.gain)) == (3, 0.25, 0.5)
+
+
+def test_what_cannot_be_saved_is_refused(tmp_path):
+    odd = Wide(obs_size=2, action_size=1, activation=jnp.sin)
+    within = type("Within", (Counting,), {"__qualname__": "made.<locals>.Within"})(obs_size=2, action_size=1)
+    usual = Counting(obs_size=2, action_size=1)
+    for learner, state, message in (
+        (odd, odd.init(), "cannot be saved: give a learner as make_learner makes it"),
+        (within, begun(within, 0), "its class is defined within a function"),
+        (usual, {**begun(usual, 0), "count": np.zeros(2)}, "cannot be saved: give a learner"),
+        (usual, {"key": jax.random.key(0)}, r"cannot be kept, as its state\['key'\] is no array of numbers"),
+    ):
+        with pytest.raises(UserError, match=message):
+            gpcjax.save_learner(tmp_path / "saved", learner, state)
+    assert not list(tmp_path.iterdir())

@@ -150,6 +150,21 @@ def test_points_of_other_settings_than_the_folder_has(tmp_path):
     assert covering(manifest, spec([usual | {"policy_variance": 0.01}])) is None
 
 
+def test_whole_numbers_stay_whole():
+    """So that the rows of what was asked before belong to the folder still when it has grown."""
+    of_widths = lambda *widths: spec_of(  # noqa: E731
+        env="cartpole", algo="d-coach", seeds=1, points=[{"width": width, "magnitude": 1} for width in widths]
+    )
+    asked, more = of_widths(16, 32), of_widths(64)
+    back = from_dict(json.loads(json.dumps(as_dict(asked))))
+    assert back == asked and specification_hash(back) == specification_hash(asked)
+    assert [type(value) for _, value in back.points[0]] == [int, float]
+    manifest = grown(manifest_of(asked), more)
+    assert {each["hash"] for each in requests(manifest)} == {
+        specification_hash(each) for each in (asked, more)
+    }
+
+
 def test_the_store_knows_its_points(tmp_path):
     asked = spec()
     store = Store(begun(tmp_path / "o", asked), manifest_of(asked))
