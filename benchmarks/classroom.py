@@ -109,7 +109,7 @@ def serve(places: int, kinds: list[str]) -> None:
     from starlette.websockets import WebSocket
 
     from gpcjax.study.hall import Hall, Run
-    from gpcjax.sweep.spec import Given
+    from gpcjax.sweep.given import Given
     from gpcjax.teach.course import Course
     from gpcjax.teach.protocol import parse
 

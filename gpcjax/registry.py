@@ -23,11 +23,12 @@ from types import TracebackType
 from typing import Any, Literal
 
 from gpcjax.allowed import shown, suggestion
-from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, check_name, compiled_if_whole
+from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.installed import require_set_up
 from gpcjax.making import Maker
+from gpcjax.own_settings import check_name, compiled_if_whole
 
 Kind = Literal["task", "learner", "teacher"]
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import gpcjax
-from gpcjax.cli import running, showing
+from gpcjax.cli import experiments, running, showing
 from gpcjax.cli import words as grammar
 from gpcjax.cli.saying import show, tell
 from gpcjax.errors import Failure, ForeignError, UserError
@@ -151,9 +151,9 @@ def _done(arguments: argparse.Namespace) -> int:
         case "show":
             return showing.show_folder(Path(os.path.expanduser(arguments.out)), arguments.json)
         case "oracles":
-            return running.oracles(arguments.env)
+            return experiments.oracles(arguments.env)
         case "reproduce":
-            return running.reproduce(arguments)
+            return experiments.reproduce(arguments)
         case "teach":
             from gpcjax.teach.command import by_hand
 

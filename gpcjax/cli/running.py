@@ -13,12 +13,11 @@ from gpcjax.cli.flags import DEFAULTS
 from gpcjax.cli.saying import tell
 from gpcjax.cli.showing import report
 from gpcjax.cli.words import settings
-from gpcjax.envs.registry import env_names
 from gpcjax.errors import Failure, UserError
-from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import compute_platform, notes
 from gpcjax.sweep.fitting import left_out
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
@@ -26,7 +25,7 @@ from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable
 from gpcjax.sweep.shards import Shard, check_shard, shard_of
-from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec, read_toml
+from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 
 if TYPE_CHECKING:
     from gpcjax.sweep.executors import Executor
@@ -158,12 +157,12 @@ def _with_schedule(given: dict[str, Given | Unchecked], dry_run: bool) -> dict[s
 
 
 def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
-    with _keeping(out):
+    with keeping(out):
         from gpcjax.sweep.jsonlines import JsonLines
         from gpcjax.sweep.progress import Bar
         from gpcjax.sweep.run import run
 
-        _note()
+        note()
         with held(out):  # until the report is written, too
             watcher = JsonLines if running.as_json else Bar
             with _drawing(out, running.live) as meanwhile:
@@ -187,7 +186,7 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
 
 
 @contextmanager
-def _keeping(out: Path) -> Iterator[None]:
+def keeping(out: Path) -> Iterator[None]:
     """A run that ends before its time says that `out` keeps what is finished."""
     try:
         yield
@@ -247,45 +246,15 @@ def tune(arguments: argparse.Namespace) -> int:
         return 0
     make_writable(wishes.out)
 
-    with _keeping(wishes.out):
+    with keeping(wishes.out):
         from gpcjax.tune.carrying_out import carry_out
 
-        _note()
+        note()
         return carry_out(wishes)
 
 
-def oracles(text: str | None) -> int:
-    """`gpcjax oracles`, of these tasks."""
-    names = env_names() if text is None else text.split(",")
-    envs = tuple(dict.fromkeys(parse(OPTIONS["env"], name, "--env") for name in names))
-    from gpcjax.sweep.executors import run_alone
-
-    run_alone("gpcjax.sweep.oracles", *envs)
-    return 0
-
-
-def reproduce(arguments: argparse.Namespace) -> int:
-    """`gpcjax reproduce`."""
-    only, sweeps = chosen(arguments.only), Path(arguments.sweeps) if arguments.sweeps else SWEEPS
-    given = {
-        name: getattr(arguments, name) for name in ("out", "jobs") if getattr(arguments, name) is not None
-    }
-    given = {name: parse(OPTIONS[name], text, f"--{name}") for name, text in given.items()}
-    out = Path(os.path.expanduser(given["out"])) if "out" in given else folder(arguments.quick)
-    jobs = given.get("jobs", default_jobs())
-    runs = check(sweeps, out, only, arguments.quick)
-    if arguments.dry_run:
-        print(f"{', '.join(only)}: {runs} experiments, in {jobs} processes, into {out}")
-        return 0
-    from gpcjax.reproduce.run import reproduce
-
-    with _keeping(out):
-        _note()
-        print(reproduce(sweeps, out, only, arguments.quick, jobs))
-    return 0
-
-
-def _note() -> None:
+def note() -> None:
+    """Tells what of the present environment does not hold here."""
     for line in notes():
         tell(line, 0)
 

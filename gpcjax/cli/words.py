@@ -12,8 +12,8 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.cli.commands import COMMANDS
 from gpcjax.cli.flags import Command
 from gpcjax.errors import UserError
+from gpcjax.sweep.given import Given, Unchecked, said
 from gpcjax.sweep.options import OPTIONS, OWNED, parse
-from gpcjax.sweep.spec import Given, Unchecked, said
 
 STATUSES = """exit status:
   0    done

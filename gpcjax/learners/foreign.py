@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from gpcjax.allowed import shown
-from gpcjax.describe import LearnerSpec, settings_from
+from gpcjax.describe import LearnerSpec
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.learners.base import Learner
 from gpcjax.making import Maker, told_apart
+from gpcjax.own_settings import settings_from
 
 _SIZES = ("obs_size", "action_size")
 

@@ -21,12 +21,13 @@ from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.estimate import seconds_left
 from gpcjax.sweep.executors import run_alone
+from gpcjax.sweep.given import Given
 from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.plan import count, plan, program_of
 from gpcjax.sweep.run import run
 from gpcjax.sweep.runfolder import check_sweep, make_writable
 from gpcjax.sweep.schedule import offered_rates
-from gpcjax.sweep.spec import Given, SweepSpec, make_spec, read_toml
+from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 from gpcjax.sweep.works import works_of
 
 ILLUSTRATIONS = "illustrations.npz"

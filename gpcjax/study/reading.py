@@ -11,7 +11,8 @@ from gpcjax.study.design import LETTERS, ORDERS, Arm, Cell, cells, slots
 from gpcjax.study.questions import question_of
 from gpcjax.study.spec import CODE_WORDS, Check, Ending, Joining, Runs, Study, Trial, is_code
 from gpcjax.study.tables import REQUIRED, Table, once
-from gpcjax.sweep.spec import Given, accepted_of
+from gpcjax.sweep.given import Given
+from gpcjax.sweep.spec import accepted_of
 from gpcjax.sweep.tomlfile import read_file
 from gpcjax.teach.course import Course
 

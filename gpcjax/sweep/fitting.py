@@ -10,7 +10,7 @@ from gpcjax.registry import find
 from gpcjax.sweep.options import OF_THE_THESIS, OPTIONS, concerns
 
 if TYPE_CHECKING:
-    from gpcjax.sweep.spec import Given
+    from gpcjax.sweep.given import Given
 
 
 def check_advised(task: TaskSpec, teacher: TeacherSpec, oracle: "Given | None") -> None:

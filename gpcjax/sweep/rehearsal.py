@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from gpcjax.allowed import shown
-from gpcjax.describe import OF_EVERY_SWEEP, is_column
 from gpcjax.engine.lanes import Start, memory_of
 from gpcjax.envs.base import Env, started
 from gpcjax.envs.host import HostEnv
@@ -20,6 +19,7 @@ from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
 from gpcjax.learners.base import Info, Learner
 from gpcjax.moment import Moment
+from gpcjax.own_settings import OF_EVERY_SWEEP, is_column
 from gpcjax.registry import find
 from gpcjax.sweep.plan import Cell
 from gpcjax.teachers.base import Teacher

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
@@ -14,6 +14,7 @@ from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find, resolve
 from gpcjax.sweep import points as joint
 from gpcjax.sweep.fitting import check_advised, check_concerns, learners_for
+from gpcjax.sweep.given import Given, Unchecked, checked_as, said
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
@@ -23,7 +24,6 @@ from gpcjax.sweep.options import (
     Option,
     accept,
     option_of,
-    parse,
     settings_of,
 )
 from gpcjax.sweep.points import POINTS, Point
@@ -79,47 +79,6 @@ class SweepSpec:
     """The same of human models, for observation and action."""
     points: tuple[Point, ...] = ()
     """Settings that belong together, instead of presets: each point with each combination of the lists."""
-
-
-class Given(NamedTuple):
-    """A checked value and where it stood, for messages: "--error", or "a.toml: error"."""
-
-    value: Any
-    source: str
-
-
-class Unchecked(NamedTuple):
-    """A value of a setting that only a learner or a teacher of the sweep can know: `make_spec` asks them."""
-
-    value: Any
-    source: str
-    key: str
-    """As it was written."""
-    counts: bool = True
-    """Whether it is a setting of this sweep, and not one of a table that is not used."""
-    is_word: bool = False
-    """Whether it is a text of a command line, which stands for numbers."""
-
-
-class Said(Given):
-    """What is checked as that of the built-in learners and teachers, whose name another one's setting may have, too."""
-
-    unchecked: Unchecked | None = None
-    """The same as it came: others have bounds of their own."""
-
-
-def said(setting: Unchecked, option: Option) -> Given | Unchecked:
-    """A setting of a name that built-in learners or teachers have; not checked where theirs would be refused."""
-    try:
-        given = Said(_read(option, setting), setting.source)
-    except UserError:
-        return setting
-    given.unchecked = setting
-    return given
-
-
-def _read(option: Option, setting: Unchecked) -> Any:
-    return (parse if setting.is_word else accept)(option, setting.value, setting.source)
 
 
 LATENESS = {*CREDIT, *DELAY}
@@ -228,13 +187,13 @@ def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Settin
             return setting
         setting = getattr(setting, "unchecked", None) or Unchecked(setting.value, setting.source, name)
     if name not in own and name in OPTIONS:
-        return Given(_read(OPTIONS[name], setting), setting.source)
+        return Given(checked_as(OPTIONS[name], setting), setting.source)
     if name not in own:
         known = list(dict.fromkeys([*OPTIONS, *own]))
         key, near = shown(setting.key), suggestion(name, known)
         prefix = setting.source.removesuffix(setting.key)
         raise UserError(f"{prefix}{key} is no setting{near}: give {', '.join(known)}")
-    return Given(_strictest(own[name], lambda option: _read(option, setting)), setting.source)
+    return Given(_strictest(own[name], lambda option: checked_as(option, setting)), setting.source)
 
 
 def _strictest(owners: Sequence[Setting], read: Callable[[Option], Any]) -> Any:

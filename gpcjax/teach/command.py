@@ -7,9 +7,9 @@ from pathlib import Path
 from gpcjax.allowed import Numbers
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.options import conditions, own_values
-from gpcjax.sweep.spec import Given, Unchecked
 
 SEED = Numbers(0, 2**31 - 1, whole=True)
 REPEAT = Numbers(1, 50)

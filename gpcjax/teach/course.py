@@ -21,11 +21,12 @@ from gpcjax.errors import UserError
 from gpcjax.recording import RECORD
 from gpcjax.registry import find
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.run import versions
 from gpcjax.sweep.seeds import Seeds
-from gpcjax.sweep.spec import Given, SweepSpec, Unchecked, make_spec
+from gpcjax.sweep.spec import SweepSpec, make_spec
 
 FORMAT = 1
 COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"

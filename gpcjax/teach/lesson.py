@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 from gpcjax.errors import Failure, UserError
 from gpcjax.lateness import CREDIT
 from gpcjax.registry import find
+from gpcjax.sweep.given import Given
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import accept, option_of
-from gpcjax.sweep.spec import Given
 from gpcjax.teach.course import COURSE, SAVES, Course, new_folder, seconds_of
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Command, Press

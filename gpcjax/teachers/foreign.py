@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from gpcjax.allowed import shown
-from gpcjax.describe import TeacherSpec, settings_from
+from gpcjax.describe import TeacherSpec
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.making import Maker, told_apart
+from gpcjax.own_settings import settings_from
 from gpcjax.teachers.base import Teacher
 
 _OF_A_SWEEP = {"rate": 0.05, "error": 0.0, "delta": 0.05, "time_step": 1.0}

@@ -14,6 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.installed import require_set_up
 from gpcjax.registry import find
 from gpcjax.sweep.atomic import target_of
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.layout import GIVE_NEW
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import read_manifest
@@ -21,15 +22,7 @@ from gpcjax.sweep.options import conditions
 from gpcjax.sweep.plan import count, hash_of
 from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.seeds import Seeds
-from gpcjax.sweep.spec import (
-    Given,
-    SweepSpec,
-    Unchecked,
-    as_dict,
-    from_dict,
-    make_spec,
-    read_toml,
-)
+from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, make_spec, read_toml
 from gpcjax.sweep.tomlfile import read_table
 from gpcjax.tune import halving, space
 from gpcjax.tune.flags import FLAGS, NOT_TAKEN, TABLE, TAKEN, own_values

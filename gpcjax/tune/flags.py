@@ -6,9 +6,9 @@ from typing import Any
 
 from gpcjax.allowed import COUNT, Anything, Numbers, OneOf
 from gpcjax.errors import UserError
+from gpcjax.sweep.given import Given
 from gpcjax.sweep.options import Option, accept, parse
 from gpcjax.sweep.seeds import WORDS, Seeds
-from gpcjax.sweep.spec import Given
 from gpcjax.tune import halving
 from gpcjax.tune.names import OBJECTIVES
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gpcjax.sweep.given import Given
 from gpcjax.sweep.runfolder import make_writable
-from gpcjax.sweep.spec import Given, accepted_of
+from gpcjax.sweep.spec import accepted_of
 from gpcjax.tune import space
 from gpcjax.tune.command import checked
 from gpcjax.tune.flags import own_values

@@ -9,8 +9,8 @@ from docs.making import columns, flags
 from gpcjax import registry
 from gpcjax.allowed import FINITE
 from gpcjax.cli.commands import COMMANDS
-from gpcjax.describe import check_name, is_column, settings_from
 from gpcjax.errors import UserError
+from gpcjax.own_settings import check_name, is_column, settings_from
 from gpcjax.registry import built_in, find
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise

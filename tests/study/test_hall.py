@@ -15,7 +15,7 @@ from gpcjax.engine.classroom import ROOMS
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD, Recording
 from gpcjax.study.hall import Hall, Run
-from gpcjax.sweep.spec import Given
+from gpcjax.sweep.given import Given
 from gpcjax.teach.course import COURSE, POLICY, Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Taught

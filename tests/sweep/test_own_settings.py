@@ -13,18 +13,20 @@ import pytest
 import gpcjax
 from gpcjax.allowed import Numbers
 from gpcjax.cli.words import parse_words, settings
-from gpcjax.describe import Setting, check_name
+from gpcjax.describe import Setting
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
+from gpcjax.own_settings import check_name
 from gpcjax.registry import find
 from gpcjax.sweep.build import start_of
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.options import EXPERIMENT, OF_CREDIT, RUNNING, VARIANTS
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rehearsal import check_alike
 from gpcjax.sweep.run import sweep
-from gpcjax.sweep.spec import QUICK, Given, Unchecked, make_spec, read_toml, spec_of
+from gpcjax.sweep.spec import QUICK, make_spec, read_toml, spec_of
 from gpcjax.teach.course import Course
 from tests.foreign.drifting import Drift, Linear, Loud, expert
 

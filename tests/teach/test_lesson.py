@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import gpcjax
-from gpcjax.sweep.spec import Given
+from gpcjax.sweep.given import Given
 from gpcjax.teach.course import RECORD, Course
 from gpcjax.teach.lesson import Lesson, Options
 from gpcjax.teach.protocol import Command, Press

@@ -11,8 +11,9 @@ import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD, Recording
 from gpcjax.registry import find
+from gpcjax.sweep.given import Given
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.spec import Given, spec_of
+from gpcjax.sweep.spec import spec_of
 from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
 from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.protocol import Press
