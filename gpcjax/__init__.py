@@ -9,14 +9,15 @@
 |----------------------------|---------------------------------------------------------------------------------|
 | make something by its name | `make_learner`, `make_env`, `make_expert`, `make_oracle`, `gym_env`, `brax_env` |
 | know the names             | `learner_names`, `env_names`, `expert_names`, `teacher_names`                   |
-| teach in one's own program | `Session`, or the methods of a `Learner` with its `Info`; `evaluate`            |
+| teach in one's own program | `Session`, or the methods of a `Learner` with `Info`, `Status`; `evaluate`      |
 | keep what was learned      | `save_policy`, `load_policy`, `export_policy`, `save_learner`, `load_learner`   |
 | run many, and read them    | `run_sweep`, `load`, `load_corrections`, `load_policies`, `load_states`         |
 | see what came of it        | `draw_report`, `compare`                                                        |
 | search hyperparameters     | `run_tuning`                                                                    |
 | write a task               | `Env` with its `State`, `HostEnv`, `parameter`                                  |
 | write a learner, a teacher | `Learner`, `Controller`; `Teacher`, `Moment`, `Oracle`                          |
-| describe one               | `TaskSpec`, `View`, `Control`; `LearnerSpec`, `TeacherSpec`, `Setting`          |
+| describe one               | `TaskSpec`, `View`, `Control`; `LearnerSpec`, `TeacherSpec`, `Column`,           |
+|                            | `Setting` with its `Numbers` or `OneOf`                                         |
 
 `import gpcjax` itself loads no jax: a public name loads what it needs when it is first used, and the first one
 switches jax to float64. `load_policy` loads no jax either; float64 is on there as soon as anything imports it.
@@ -25,6 +26,7 @@ switches jax to float64. `load_policy` loads no jax either; float64 is on there 
 __version__ = "0.2.0"
 
 _PUBLIC = {
+    "Column": "gpcjax.describe:Column",
     "Controller": "gpcjax.policies.base:Controller",
     "Env": "gpcjax.envs.base:Env",
     "HostEnv": "gpcjax.envs.host:HostEnv",
@@ -32,10 +34,13 @@ _PUBLIC = {
     "Learner": "gpcjax.learners.base:Learner",
     "LearnerSpec": "gpcjax.describe:LearnerSpec",
     "Moment": "gpcjax.moment:Moment",
+    "Numbers": "gpcjax.allowed:Numbers",
+    "OneOf": "gpcjax.allowed:OneOf",
     "Oracle": "gpcjax.teachers.oracle:Oracle",
     "Session": "gpcjax.engine.session:Session",
     "Setting": "gpcjax.describe:Setting",
     "State": "gpcjax.envs.base:State",
+    "Status": "gpcjax.learners.base:Status",
     "TaskSpec": "gpcjax.describe:TaskSpec",
     "Teacher": "gpcjax.teachers.base:Teacher",
     "TeacherSpec": "gpcjax.describe:TeacherSpec",
@@ -105,6 +110,7 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "Session",
     "Moment",
     "Info",
+    "Status",
     "Controller",
     "Teacher",
     "Oracle",
@@ -112,21 +118,25 @@ __all__ = [  # noqa: RUF022  (the order of the interface)
     "LearnerSpec",
     "TeacherSpec",
     "Setting",
+    "Numbers",
+    "OneOf",
+    "Column",
     "View",
     "Control",
 ]
 
 TYPE_CHECKING = False  # type checkers know it by this name; importing typing takes a command's first moments
 if TYPE_CHECKING:
+    from gpcjax.allowed import Numbers, OneOf
     from gpcjax.deploy.export import export_policy
-    from gpcjax.describe import Control, LearnerSpec, Setting, TaskSpec, TeacherSpec, View
+    from gpcjax.describe import Column, Control, LearnerSpec, Setting, TaskSpec, TeacherSpec, View
     from gpcjax.engine.evaluate import evaluate
     from gpcjax.engine.session import Session
     from gpcjax.envs.base import Env, State, parameter
     from gpcjax.envs.brax_adapter import brax_env
     from gpcjax.envs.host import HostEnv, gym_env
     from gpcjax.envs.registry import env_names, expert_names, make_env, make_expert
-    from gpcjax.learners.base import Info, Learner
+    from gpcjax.learners.base import Info, Learner, Status
     from gpcjax.learners.factory import make_learner
     from gpcjax.learners.saved import load_learner, save_learner, save_policy
     from gpcjax.moment import Moment

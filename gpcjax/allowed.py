@@ -44,7 +44,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class OneOf:
-    """A few words or numbers."""
+    """A few words or numbers: the `choices`."""
 
     choices: tuple[str | float, ...]
 

@@ -110,6 +110,11 @@ class _Making:
         self._maker = Maker(source, found, lambda made: made)
         self.__signature__ = self._maker.__signature__
 
+    @property
+    def module(self) -> str:
+        """Where what it calls comes from; "" where Python does not say."""
+        return self._maker.module
+
     def __call__(self, **values: Any) -> Env | HostEnv:
         """One more, with these parameters.
 

@@ -88,8 +88,7 @@ class HostEnv:
         object.__setattr__(self, "_centre", (low + high) / 2)
         object.__setattr__(self, "_reach", (high - low) / 2)
         object.__setattr__(self, "time_step", _time_step(env))
-        own = getattr(env.spec, "max_episode_steps", None)
-        limit = self.max_steps if self.max_steps is not None or own is not None else UNLIMITED
+        limit = self.max_steps or (None if _has_limit(env) else UNLIMITED)
         object.__setattr__(self, "_limit", limit)
 
     def __hash__(self) -> int:
@@ -235,6 +234,15 @@ def _time_step(env: Any) -> float | None:
     frames = (getattr(env, "metadata", None) or {}).get("render_fps")
     said = [converted(float, step), *(1.0 / rate for rate in (converted(float, frames),) if rate)]
     return next((value for value in said if value is not None and 0 < value < math.inf), None)
+
+
+def _has_limit(env: Any) -> bool:
+    """Whether one of gymnasium's wrappers ends its episodes, however long."""
+    import gymnasium
+
+    while env is not None and not isinstance(env, gymnasium.wrappers.TimeLimit):
+        env = getattr(env, "env", None)
+    return env is not None
 
 
 def _takes(make: Callable[..., Any], name: str) -> bool:

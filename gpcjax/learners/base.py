@@ -75,8 +75,8 @@ class Learner(ByIdentity):
         """What `state` becomes with one correction, and what was done (`Info.of`).
 
         `advice` has -1, 0 or 1 for each action dimension, one of them other than 0; parts of these where credit for
-        late advice goes to several steps. Nothing that is not finite needs to be kept out: such a state is dropped, and
-        the correction has `Status.NON_FINITE`.
+        late advice goes to several steps. What is not finite needs not to be kept out: a state with such a thing where
+        there was a number is dropped, and the correction has `Status.NON_FINITE`.
         """
         raise NotImplementedError(f"{type(self).__name__} has no learn: write it")
 
@@ -219,23 +219,21 @@ class Learner(ByIdentity):
     def _learn(
         self, state: State, moment: Moment, advice: Float[Array, " action"], key: PRNGKeyArray
     ) -> tuple[State, Info]:
-        """`learn`, if there is advice, and nothing that is no number gets into the state."""
+        """`learn`, if there is advice, and nothing in the state becomes what is no number."""
         new, info = self.learn(state, moment, advice, key)
         given = (advice != 0).any()
-        sound = [
-            jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((new, info.rate, moment.obs, moment.action))
-        ]
-        finite = jnp.stack(sound).all()
+        told = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((info.rate, moment.obs, moment.action))]
+        finite = jnp.stack([*_stays_finite(new, state), *told]).all()
         kept = jax.tree.map(lambda now, old: jnp.where(given & finite, now, old), new, state)
         status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status)
         learned = (advice != 0) & finite & (status == Status.OK)
         return kept, dataclasses.replace(info, rate=jnp.where(learned, info.rate, 0.0), status=status)
 
     def _idle(self, state: State, key: PRNGKeyArray) -> tuple[State, Int[Array, ""]]:
-        """`idle`, if nothing that is no number comes of it, and the status of that."""
+        """`idle`, if nothing becomes of it that is no number, and the status of that."""
         new = self.idle(state, key)
-        leaves = [leaf for leaf in jax.tree.leaves(new) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
-        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all() if leaves else jnp.array(True)
+        sound = _stays_finite(new, state)
+        finite = jnp.stack(sound).all() if sound else jnp.array(True)
         kept = jax.tree.map(lambda now, old: jnp.where(finite, now, old), new, state)
         return kept, jnp.where(finite, Status.OK, Status.NON_FINITE).astype(jnp.int32)
 
@@ -275,6 +273,15 @@ class Learner(ByIdentity):
     def __getattribute__(self, name: str) -> Any:
         # equinox makes a module of each method that is looked up, which takes longer than to act: a loop's two are not.
         return object.__getattribute__(self, name) if name in _LOOPED else super().__getattribute__(name)
+
+
+def _stays_finite(new: State, old: State) -> list[Bool[Array, ""]]:
+    """Whether each array of a state is finite wherever it was before: it may begin with infinity, such as a least."""
+    return [
+        (jnp.isfinite(now) | ~jnp.isfinite(before)).all()
+        for now, before in zip(jax.tree.leaves(new), jax.tree.leaves(old), strict=True)
+        if jnp.issubdtype(jnp.result_type(now), jnp.inexact)
+    ]
 
 
 class Proposing(Controller):

@@ -33,6 +33,7 @@ from gpcjax.learners.coach import COACH
 from gpcjax.learners.descriptions import CAPACITY, ON_FULL
 from gpcjax.learners.descriptions import COACH as COACH_SPEC
 from gpcjax.learners.descriptions import GPC as GPC_SPEC
+from gpcjax.learners.foreign import check_sizes
 from gpcjax.learners.gpc import GPC
 from gpcjax.policies.grid import Grid
 from gpcjax.registry import built_in, find, resolve
@@ -101,7 +102,10 @@ def make_learner(
     for name in ("obs_size", "action_size"):
         values[name] = checked(name, values[name], int, COUNT)
     made = resolve(spec.make)(**values)
-    return made if algo in built_in("learner") else fixed(made)
+    if algo in built_in("learner"):
+        return made
+    check_sizes(algo, made, values)
+    return fixed(made)
 
 
 def sizes_of(task: TaskSpec) -> dict[str, int]:

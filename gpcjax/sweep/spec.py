@@ -11,7 +11,7 @@ from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
-from gpcjax.registry import find
+from gpcjax.registry import find, resolve
 from gpcjax.sweep import points as joint
 from gpcjax.sweep.fitting import check_advised, check_concerns, learners_for
 from gpcjax.sweep.options import (
@@ -186,6 +186,9 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
             f"teacher {teacher.name}: in a sweep nobody is there to advise: teach with gpcjax teach, and give its "
             "folder as teacher"
         )
+    for learner in learners:
+        if not isinstance(learner.make, str) and task.sizes is not None:
+            resolve("gpcjax.learners.foreign:check_made")(learner, task.sizes)
     own = settings_of(learners, [teacher])
     known = {name: _known(name, setting, own) for name, setting in given.items() if name != POINTS}
     known = {name: setting for name, setting in known.items() if getattr(given[name], "counts", True)}

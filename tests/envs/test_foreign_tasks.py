@@ -174,9 +174,18 @@ def test_built_in_ones_count_by_themselves():
         (lambda: Walk(size=5.0), {}, 5.0, 1000),
         (lambda: Sized(3.0), {}, 3.0, 1000),
         (lambda: gymnasium.wrappers.TimeLimit(Walk(2.0), 15), {}, 2.0, 15),
+        (lambda: gymnasium.wrappers.TimeLimit(Walk(), 1200), {}, 1.0, 1200),
         (gpcjax.TaskSpec(name="it", make=Walk, sizes=(2, 1)), {"size": 4.0}, 4.0, 1000),
     ],
-    ids=["class", "its argument", "function", "that gives an argument", "a wrapper", "description"],
+    ids=[
+        "class",
+        "its argument",
+        "function",
+        "that gives an argument",
+        "a wrapper",
+        "a long one",
+        "description",
+    ],
 )
 def test_gymnasium_is_simulated_as_it_was_made(found, values, size, steps):
     spec = OF(found)

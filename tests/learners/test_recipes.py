@@ -76,6 +76,20 @@ def test_it_comes_back_to_the_bit():
     assert_same_bits(again.policy_of(same)(obs), learner.policy_of(state)(obs))
 
 
+def test_what_is_infinite_from_the_start_is_no_mistake():
+    """A correction is dropped if something becomes so, by learning or by going on."""
+    learner = COUNTING.made()
+    state, info = learner.correct(begun(learner, 0), [0.5, 1.0], [0.0], [1])
+    assert int(info.status) == 0 and int(state["count"]) == 1 and np.isinf(state["least"])
+    spoiled = dataclasses.replace(learner, gain=jnp.array(jnp.inf))
+    same, info = spoiled.correct(state, [0.5, 1.0], [0.0], [1])
+    assert int(info.status) == 2 and float(info.rate[0]) == 0.0
+    assert_same_bits(same, state)
+    after, status = learner._idle(state, jax.random.key(0))
+    assert int(status) == 0
+    assert_same_bits(after, state)
+
+
 def test_a_dictionary_may_have_grown():
     recipe = Recipe(GROWING.name, "mountaincar", {"policy_capacity": 8, "human_capacity": 8})
     learner = recipe.made()

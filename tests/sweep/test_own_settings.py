@@ -14,7 +14,7 @@ import gpcjax
 from gpcjax.allowed import Numbers
 from gpcjax.cli.words import parse_words, settings
 from gpcjax.describe import Setting, check_name
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
 from gpcjax.registry import find
 from gpcjax.sweep.build import start_of
@@ -26,7 +26,7 @@ from gpcjax.sweep.rehearsal import check_alike
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import QUICK, Given, Unchecked, make_spec, read_toml, spec_of
 from gpcjax.teach.course import Course
-from tests.foreign.drifting import Linear, Loud
+from tests.foreign.drifting import Drift, Linear, Loud, expert
 
 HERE = __name__
 USUAL = {"env": "tests.foreign.drifting:Drift", "oracle": "tests.foreign.drifting:expert", "rate": 0.3}
@@ -252,3 +252,49 @@ def test_one_person_teaches_one_learner():
         UserError, match="--set width: one person teaches one learner at a time, give one value"
     ):
         Course.of(given | {"width": several})
+
+
+def needs(obs_size, action_size, step_size=0.5):
+    """Differences of neighbours, of which there must be some."""
+    if obs_size < 2:
+        raise ValueError("no neighbours")
+    return Linear(obs_size=obs_size, action_size=action_size, step_size=step_size)
+
+
+def only_seven(obs_size, action_size):
+    if obs_size != 7:
+        raise ValueError("seven sensors, or none")
+    return Linear(obs_size=7, action_size=action_size)
+
+
+def its_own_size(obs_size, action_size):
+    return Linear(obs_size=3, action_size=action_size)
+
+
+def more_than_sizes(obs_size, action_size, budget):
+    return Linear(obs_size=obs_size, action_size=action_size)
+
+
+SEVEN = gpcjax.TaskSpec(name=f"{HERE}:SEVEN", make=Drift, sizes=(7, 1), experts={"own": expert})
+
+
+def test_a_learner_that_needs_other_sizes_than_one():
+    """It is seen what it is where it can be made: for some small sizes, or for those of the task."""
+    (setting,) = find("learner", f"{HERE}:needs").settings
+    assert setting.compiled == "no"
+    assert spec_of(env="cartpole", algo=f"{HERE}:needs", seeds=1)
+    assert spec_of(env=f"{HERE}:SEVEN", algo=f"{HERE}:only_seven", seeds=1)
+    with pytest.raises(
+        ForeignError, match=r"only_seven: it cannot be made \(ValueError: seven sensors, or none\)"
+    ):
+        spec_of(env="pendulum", algo=f"{HERE}:only_seven")
+    with pytest.raises(ForeignError, match=r"more_than_sizes: it cannot be made \(TypeError: .*'budget'\)"):
+        find("learner", f"{HERE}:more_than_sizes")
+
+
+def test_a_learner_has_the_sizes_that_were_asked_for():
+    with pytest.raises(UserError, match="its_own_size: it makes a learner of obs_size 3 where 4 is needed"):
+        gpcjax.make_learner(f"{HERE}:its_own_size", "cartpole")
+    with pytest.raises(UserError, match="its_own_size: it makes a learner of obs_size 3 where 4 is needed"):
+        spec_of(env="cartpole", algo=f"{HERE}:its_own_size")
+    assert spec_of(env="pendulum", algo=f"{HERE}:its_own_size")
