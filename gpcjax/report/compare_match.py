@@ -11,7 +11,7 @@ import numpy as np
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
-from gpcjax.registry import built_in, find
+from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points, reading
 from gpcjax.sweep.growth import usual
@@ -84,7 +84,7 @@ class Folder:
     def _usual(self, algo: str, name: str) -> Value:
         """The value of a setting that nobody gave here, where it is known without anybody's own module."""
         (teacher,), env = self.values["teacher"], self.study.env
-        named = {"learner": algo, "teacher": teacher, "task": env}
+        named: dict[Kind, Value] = {"learner": algo, "teacher": teacher, "task": env}
         if not all(each in built_in(kind) for kind, each in named.items()):
             return PRESET
         value = usual(env, algo, str(teacher), name)
