@@ -46,7 +46,7 @@ FLAGS := ENV:env ERR:error ALGO:algo SEEDS:seeds EPISODES:episodes TEACHER:teach
 name = $(firstword $(subst :, ,$1))
 TAKES_sweep := $(foreach pair,$(FLAGS),$(call name,$(pair))) SPEC ARGS
 TAKES_grid := $(TAKES_sweep)
-TAKES_tune := $(filter-out KEEP,$(TAKES_sweep))
+TAKES_tune := $(filter-out KEEP ENGINE ADDRESS SHARD,$(TAKES_sweep))
 TAKES_report := OUT
 TAKES_compare := OUT ARGS
 TAKES_oracles := ENV
@@ -181,8 +181,10 @@ clean: ## remove .venv, the site and all caches, no results
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 # Set up once: again only if the lock or pyproject.toml is newer, or .venv has lost its Python. What is wrong with a
-# sweep is said before that takes its minutes.
-.PHONY: $(if $(shell test -x .venv/bin/python && echo yes),,$(READY))
+# sweep is said before that takes its minutes, as far as it can be told without .venv: not what modules have, and not
+# where a .venv is that others may have installed things into.
+IS_THERE := $(shell test -x .venv/bin/python && echo yes)
+.PHONY: $(if $(IS_THERE),,$(READY))
 PYTHON_WORD = $(call quoted,PYTHON)
 sweep: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax sweep $(SETTINGS) --dry-run)
 grid: CHECK = $(call with_args,$(PYTHON_WORD) -m gpcjax grid $(SETTINGS) --dry-run)
@@ -191,7 +193,7 @@ reproduce: CHECK = $(PYTHON_WORD) -m gpcjax reproduce $(REPRODUCTION) --dry-run
 NEEDED := gpcjax needs Python 3.11 or newer with venv and pip (Debian: apt install python3-venv; or PYTHON=another)
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON_WORD) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo '$(NEEDED)' >&2; exit 2; }
-	@$(CHECK)
+	@$(if $(IS_THERE),,$(CHECK))
 	@echo 'setting up .venv, once: this takes a minute or more'
 	@$(PYTHON_WORD) -m venv .venv && $(PIP) install --require-hashes --only-binary :all: -r requirements.lock
 	@$(PIP) install --no-deps --no-index --no-build-isolation -e . && touch $@

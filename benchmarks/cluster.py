@@ -37,8 +37,8 @@ from gpcjax.sweep.spec import SweepSpec, spec_of
 EPISODES, CORRECTIONS = 30, 60
 """Of a recorded run: those of the cart-pole in the thesis."""
 
-SWEEP = ["--env", "pendulum", "--algo", "gpc-ns", "--seeds", "64", "--checkpoint", "0"]
-"""Some 20 s of one core, and one program."""
+SWEEP = ["--env", "pendulum", "--algo", "gpc-ns", "--checkpoint", "0"]
+"""One program."""
 
 
 def recorded(cell: Cell) -> CellRows:
@@ -141,35 +141,55 @@ def driver(cells: int, jobs: int) -> dict[str, float]:
 
 
 def block(cells: int) -> dict[str, float]:
-    """A real Ray with one worker: seconds of a block on its way, where nothing is computed; its start is left out."""
+    """A real Ray with one worker: a block on its way, where nothing is computed; its start is left out.
 
-    def seconds(cells: int) -> tuple[float, float]:
+    In seconds of the clock, in which the worker makes up rows and their tables, and of the driver's processor: these
+    are what a call costs, and what `driver` finds for the block's cells.
+    """
+
+    def seconds(cells: int) -> np.ndarray:
         executor = Ray(jobs=1)
         executor._connect()
-        began = time.monotonic()
+        began = time.monotonic(), time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             run(_spec(cells), Path(folder), 1, executor)
-        return time.monotonic() - began, cells / BATCH
+        return np.array((time.monotonic() - began[0], time.process_time() - began[1]))
 
     actor, crew.Actor = crew.Actor, _Echo  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        (few, fewer), (many, more) = seconds(cells // 8), seconds(cells)
+        few, many = seconds(cells // 8), seconds(cells)
     finally:
         crew.Actor = actor  # pyright: ignore[reportAttributeAccessIssue]
-    each = (many - few) / (more - fewer)
-    return {"cells": cells, "start_s": round(few - each * fewer, 1), "ms_per_block": round(1e3 * each, 1)}
+    each = (many - few) / (cells - cells // 8) * BATCH
+    return {
+        "cells": cells,
+        "start_s": round(few[0] - each[0] * (cells // 8) / BATCH, 1),
+        "ms_per_block": round(1e3 * each[0], 1),
+        "driver_ms_per_block": round(1e3 * each[1], 1),
+    }
 
 
-def two_hosts() -> dict[str, float]:
-    """One sweep in two processes, then on two hosts of one core each: seconds, and of all processors."""
+def two_hosts(seeds: int) -> dict[str, float]:
+    """One sweep in two processes, then on two hosts of one core each: seconds of each."""
     from tests.cluster.hosts import hosts
 
-    found: dict[str, float] = {}
+    found: dict[str, float] = {"seeds": seeds}
     root = Path(__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
 
         def once(words: list[str], start: Any, name: str) -> float:
-            command = ["-m", "gpcjax", "sweep", *SWEEP, *words, "--out", f"{folder}/{name}", "--json"]
+            command = [
+                "-m",
+                "gpcjax",
+                "sweep",
+                *SWEEP,
+                "--seeds",
+                str(seeds),
+                *words,
+                "--out",
+                f"{folder}/{name}",
+                "--json",
+            ]
             process = start(command)
             events = [json.loads(line) for line in process.communicate()[0].splitlines()]
             assert process.returncode == 0
@@ -201,7 +221,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", choices=["driver", "block", "hosts", []], default=[])
-    parts = parser.parse_args().parts or ["driver", "block", "hosts"]
+    parser.add_argument("--seeds", default="64,320,960", help="runs of `hosts` (default: %(default)s)")
+    arguments = parser.parse_args()
+    parts = arguments.parts or ["driver", "block", "hosts"]
     if "driver" in parts:
         for cells, jobs in ((20_000, 10), (80_000, 10), (80_000, 1000)):
             # In a process of its own: memory that another one has left would be used again.
@@ -214,7 +236,8 @@ def main() -> None:
     if "block" in parts:
         print(json.dumps(block(8_000)))
     if "hosts" in parts:
-        print(json.dumps(two_hosts()))
+        for seeds in arguments.seeds.split(","):
+            print(json.dumps(two_hosts(int(seeds))), flush=True)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ class Kind:
     name: str
     words: str
     cold: bool = False
-    """Nothing is: programs go to an empty folder. Otherwise all are, by an earlier call with two seeds."""
+    """Nothing is: programs go to an empty folder. Otherwise all are, by an earlier call with 64 seeds."""
 
 
 KINDS = (

@@ -9,7 +9,7 @@ differ in speed, and some are much slower: a sweep ends with its last cell.
 
 | Cost           | s       | from                                                                                  |
 |----------------|---------|---------------------------------------------------------------------------------------|
-| `CALL`         | 0.0015  | `benchmarks.cluster block`: what a block takes in a real Ray beside its cells           |
+| `CALL`         | 0.0015  | `benchmarks.cluster block`: what a block takes of the driver beside its cells (1.1 ms)  |
 | `CELL`         | 0.00012 | `benchmarks.cluster driver`: unpickling, the desk and Parquet, for one cell             |
 | `TABLES`       | 0.00035 | the same where the driver makes the tables of rows, as it did before                    |
 | `LOOK`         | 2e-8    | what one report of progress took for each worker, as long as all were summed up         |

@@ -171,6 +171,7 @@ class LearnerSpec:
     | `make`       | makes it, from `obs_size`, `action_size`, settings and options by name                |
     | `settings`   | numbers that a sweep may vary                                                        |
     | `options`    | further keyword arguments of `make`, which presets and Python may give                |
+    | `needs`      | those of them that a preset of the task must give, as there is no default              |
     | `columns`    | what it measures beside what is measured of all                                      |
     | `dictionary` | it holds points: it lives in blocks of growing capacity, and takes the options of one |
     | `uncertain`  | it knows how uncertain it is (sigma_h), so that a teacher may wait for that           |
@@ -183,6 +184,7 @@ class LearnerSpec:
     make: Make
     settings: tuple[Setting, ...] = ()
     options: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     columns: tuple[Column, ...] = ()
     dictionary: bool = False
     uncertain: bool = False

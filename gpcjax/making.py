@@ -29,6 +29,11 @@ class Maker(Generic[T]):
                 f"{source}: Python cannot tell the arguments of {shown(found)}, give a class or function"
             ) from None
 
+    @property
+    def module(self) -> str:
+        """Where what it calls comes from; "" where Python does not say."""
+        return getattr(self._found, "__module__", None) or ""
+
     def __call__(self, **values: Any) -> T:
         """One more, of these settings.
 

@@ -26,6 +26,8 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import LearnerSpec, Spec, TaskSpec, TeacherSpec, check_name, compiled_if_whole
 from gpcjax.elsewhere import path_here
 from gpcjax.errors import ForeignError, UserError
+from gpcjax.installed import require_set_up
+from gpcjax.making import Maker
 
 Kind = Literal["task", "learner", "teacher"]
 
@@ -46,6 +48,10 @@ _MOST = {
     "learner": "a subclass of gpcjax.Learner, or a function that makes a learner",
     "teacher": "a subclass of gpcjax.Teacher, or a function that makes a teacher",
 }
+
+
+_BASES = {"learner": "gpcjax.learners.base:Learner", "teacher": "gpcjax.teachers.base:Teacher"}
+"""What those of a person's own are subclasses of."""
 
 
 def built_in(kind: Kind) -> tuple[str, ...]:
@@ -87,6 +93,11 @@ _FOUND: dict[tuple[Kind, str], Spec] = {}
 """What was found: a person's module is imported, and what it makes is looked at, once in a process."""
 
 
+def found(kind: Kind, name: str) -> Any:
+    """The description of a name that was asked for before in this process; None of any other."""
+    return _FOUND.get((kind, name))
+
+
 def _elsewhere(kind: Kind, name: str, source: str) -> Spec:
     if kind == "teacher" and name == "person":
         return resolve("gpcjax.teachers.descriptions:PERSON")
@@ -113,13 +124,10 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
     Raises:
         UserError: it is nothing of this kind, or has a setting of a name that it cannot have.
     """
-    if isinstance(found, _SPECS[kind]):
-        if isinstance(found, TaskSpec):
-            return found
-        for setting in found.settings:
-            check_name(f"{_WORD[kind]} {name}: its setting {setting.name}", setting.name)
-        return dataclasses.replace(found, settings=tuple(map(compiled_if_whole, found.settings)))
-    if not callable(found) or isinstance(found, Spec):
+    is_told = isinstance(found, _SPECS[kind])
+    if is_told and not isinstance(found, TaskSpec):
+        return _told_of(kind, name, found)
+    if not is_told and (not callable(found) or isinstance(found, Spec)):
         raise UserError(f"{_WORD[kind]} {name}: {shown(found)} is no {kind}, give {_MOST[kind]}")
     makers = {
         "task": "gpcjax.envs.foreign:task_of",
@@ -127,6 +135,27 @@ def described(kind: Kind, name: str, found: Any) -> Spec:
         "teacher": "gpcjax.teachers.foreign:teacher_of",
     }
     return resolve(makers[kind])(name, found)
+
+
+def _told_of(kind: Kind, name: str, spec: Any) -> Spec:
+    """A person's own description of a learner or a teacher, under the name by which it was asked for.
+
+    Raises:
+        UserError: it has a setting of a name that it cannot have.
+    """
+    source = f"{_WORD[kind]} {name}"
+    for setting in spec.settings:
+        check_name(f"{source}: its setting {setting.name}", setting.name)
+    settings = tuple(map(compiled_if_whole, spec.settings))
+    make = imported(spec.make, source) if isinstance(spec.make, str) else spec.make
+    base = resolve(_BASES[kind])
+
+    def accepted(made: Any) -> Any:
+        if not isinstance(made, base):
+            raise UserError(f"{source}: {shown(made)} is no {kind}, give {_MOST[kind]}")
+        return made
+
+    return dataclasses.replace(spec, name=name, make=Maker(source, make, accepted), settings=settings)
 
 
 def resolve(target: str | Callable[..., Any]) -> Any:
@@ -143,10 +172,12 @@ def imported(name: str, source: str) -> Any:
     Raises:
         UserError: it is no such name, there is no such module, or nothing of that name in it.
         ForeignError: the module fails while it is imported.
+        ModuleNotFoundError: gpcjax is not set up, so that nobody can tell.
     """
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in [*module.split("."), *attribute.split(".")]):
         raise UserError(f"{source}: give module:NAME, as in mytask:Drift")
+    require_set_up()
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)  # last: nothing in the folder stands before what is installed

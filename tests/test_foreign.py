@@ -1,5 +1,6 @@
 """A stranger's package is swept by name: its task, its learner, its teacher, among the built-in ones and alone."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,12 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import gpcjax
 from gpcjax import registry
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.report import words
+from gpcjax.report.groups import gather
+from gpcjax.sweep import labels
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Processes
+from gpcjax.sweep.fitting import left_out
+from gpcjax.sweep.growth import grown
+from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
@@ -93,6 +101,86 @@ def test_advice_that_is_none(tmp_path, workers_in_process):
     assert set(loud["status"]) == {"invalid"} and (loud["corrections"] == 0).all()
 
 
+@pytest.mark.slow
+def test_the_usual_learners_in_processes(tmp_path):
+    """Nobody says who learns, and the workers are real: COACH, which has no grid for this task, is not among them."""
+    words = "--env drifting:Drift --oracle drifting:expert --seeds 2 --episodes 2 --jobs 2 --out".split()
+    done = subprocess.run(
+        [sys.executable, "-m", "gpcjax", "sweep", *words, tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{FOREIGN}{os.pathsep}{Path(__file__).parents[1]}"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "gpcjax: drifting:Drift: without coach, which needs lower, upper, counts of" in done.stderr
+    assert sorted(read_episodes(tmp_path / "out")["algo"].unique()) == ["gpc", "gpc-ns"]
+
+
+def test_the_usual_learners():
+    """Those that a task has all for; who is left out is told."""
+    env = {"env": "drifting:Drift", "oracle": "drifting:expert"}
+    assert spec_of(**env).algo == ("gpc", "gpc-ns") and len(left_out("drifting:Drift")) == 1
+    assert spec_of(env="drifting:DRIFT").algo == ("gpc", "gpc-ns", "coach") and not left_out("drifting:DRIFT")
+    assert spec_of(env="drifting:DRIFT", algo="coach").algo == ("coach",)
+    with pytest.raises(
+        UserError, match="algo coach: it needs lower, upper, counts, which drifting:Drift does not give"
+    ):
+        spec_of(**env, algo=["gpc", "coach"])
+    assert make_learner("coach", "drifting:DRIFT").grid.counts == (5, 5)
+
+
+def test_a_teacher_without_an_expert(tmp_path, workers_in_process):
+    """On a task that has none: nobody's return is measured, and all else is there."""
+    settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:HOMEWARD"}
+    for name in ("error", "oracle"):
+        del settings[name]
+    out = sweep(tmp_path / "out", **settings)
+    rows = read_episodes(out)
+    assert set(rows["oracle"]) == {"none"} and rows["corrections"].sum() > 0
+    baselines = json.loads((out / "manifest.json").read_text())["baselines"]
+    assert baselines["oracles"] == {} and baselines["idle"]["n"] == 100
+    gpcjax.draw_report(out)
+    assert "oracle none" in (out / "report.html").read_text()
+
+
+def test_a_report_has_the_words_of_descriptions(tmp_path, monkeypatch, workers_in_process):
+    """Of tasks and learners, from the manifest: where the report is drawn, nobody's module is run."""
+    out = sweep(
+        tmp_path / "out",
+        env="drifting:DRIFT",
+        algo=["drifting:LINEAR", "coach"],
+        rate=0.3,
+        seeds=2,
+        episodes=2,
+    )
+    manifest = read_manifest(out)
+    assert manifest["labels"] == {
+        "task": {"drifting:DRIFT": {"label": "Drifting", "unit": "metres, negative", "actions": ["push"]}},
+        "learner": {"drifting:LINEAR": {"label": "A line"}},
+    }
+    more = spec_of(env="drifting:DRIFT", algo=["coach", "drifting:Linear"], rate=0.3, seeds=2, episodes=2)
+    assert grown(manifest, more)["labels"] == manifest["labels"]
+    monkeypatch.setattr(registry, "_FOUND", {})
+    monkeypatch.setattr(labels, "_TOLD", {})
+    monkeypatch.setattr(registry, "described", lambda *_: pytest.fail("a module was run"))
+    study = gather(read_episodes(out), manifest)
+    assert words.return_label(study) == "return (metres, negative)" and words.action(study.env, 0) == "push"
+    assert (words.task(study.env), words.algorithm("drifting:LINEAR")) == ("Drifting", "A line")
+    assert words.task("drifting:Drift") == "drifting:Drift"
+
+
+def test_words_of_brax_need_no_brax():
+    assert words.task("brax:reacher") == "Reacher (brax)" and words.action("brax:reacher", 1) == "elbow"
+
+
+@pytest.mark.parametrize(
+    "said", [None, 3, [], {"task": 3}, {"task": {"a": 3}}, {"task": {"a": {"actions": 3}}}]
+)
+def test_damaged_words_are_left_out(said):
+    labels.remember({"labels": said})
+    assert words.task("a") == "a"
+
+
 def test_names():
     assert "drift" in registry.names("task") and "linear" in registry.names("learner")
     assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander", "mountaincar")
@@ -134,7 +222,19 @@ def test_from_python():
             {"env": "cartpole", "teacher": "drifting:Drift"},
             "teacher drifting:Drift: .* is no teacher, give a",
         ),
-        ({"env": "cartpole", "oracle": "drifting:nobody"}, None),
+        ({"env": "cartpole", "oracle": "drifting:nobody"}, "oracle drifting:nobody: drifting has no nobody"),
+        (
+            {"env": "cartpole", "oracle": "nowhere:nobody"},
+            "oracle nowhere:nobody: there is no module nowhere",
+        ),
+        (
+            {"env": "lunarlander", "oracle": "drifting:expert"},
+            r"oracle drifting:expert: its action has shape \(1,\), lunarlander takes \(2,\)",
+        ),
+        (
+            {"env": "cartpole", "oracle": "drifting:DRIFT"},
+            "oracle drifting:DRIFT: TaskSpec.* is none, give a function",
+        ),
         ({"env": "cartpole", "step_size": 1}, "'step_size' is no setting"),
         (
             {"env": "cartpole", "algo": "drifting:Linear", "beta": 1},
@@ -147,10 +247,6 @@ def test_from_python():
     ],
 )
 def test_refused(settings, message):
-    if message is None:  # an expert is looked at when it is made
-        with pytest.raises(UserError, match="oracle drifting:nobody: drifting has no nobody"):
-            make_expert("cartpole", "drifting:nobody")
-        return
     with pytest.raises(UserError, match=message):
         spec_of(**settings)
 

@@ -314,6 +314,45 @@ def test_a_mistake_is_told_before_the_setting_up(folder, words):
     assert not (folder / ".venv").exists()
 
 
+BARE = f'exec {sys.executable} -S "$@"'
+"""A Python of 3.11 or newer in which nothing is installed; of a command only what checks it."""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
+        ("sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
+        ("sweep", "ENV=gym:Pendulum-v1"),
+        ("sweep", "ENV=brax:reacher"),
+        ("sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),
+        ("sweep", "ENV=cartpole", "TEACHER=replay:a.jsonl"),
+        ("sweep", "ENV=cartpole", "ENGINE=ray"),
+        ("sweep", "SPEC=own.toml"),
+        ("grid", "ENV=mytask:Drift", "LP=0.1,0.2"),
+        ("tune", "ENV=cartpole", "ARGS=--search policy-length-scale=0.1:1"),
+    ],
+    ids=" ".join,
+)
+def test_what_needs_a_module_is_no_mistake_before_the_setting_up(folder, words):
+    """With a Python that has nothing: the check says that it looks later, and the setting up begins."""
+    shutil.rmtree(folder / ".venv")
+    (folder / "own.toml").write_text('env = "mytask:Drift"\n')
+    (folder / "mytask.py").write_text("import gpcjax\n\n\nclass Drift(gpcjax.Env):\n    pass\n")
+    python = fake_python(folder, f'case "$*" in *--dry-run*) {BARE};; *"-m venv"*) echo began; exit 3;; esac')
+    done = make(folder, *words, python, PYTHONPATH=str(ROOT))
+    assert "setting up .venv" in done.stdout and "began" in done.stdout, done.stderr
+    told = "gpcjax: what this names is looked at once gpcjax is set up (No module named "
+    assert told in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_mistake_that_needs_no_module_is_told_by_such_a_python(folder):
+    shutil.rmtree(folder / ".venv")
+    python = fake_python(folder, f'case "$*" in *--dry-run*) {BARE};; esac')
+    done = make(folder, "sweep", "ENV=cartpole", "ERR=2", python, PYTHONPATH=str(ROOT))
+    assert done.returncode == 2 and "--error 2" in done.stderr and "setting up" not in done.stdout
+
+
 @pytest.mark.parametrize("change", ["nothing", "requirements.lock", "pyproject.toml", ".venv/bin/python"])
 def test_what_sets_up_again(folder, change):
     assert make(folder, "sweep").returncode == 0

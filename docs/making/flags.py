@@ -35,7 +35,9 @@ def _command(name: str, command: Command) -> str:
     for title, flags in command.groups:
         if title:
             blocks.append(f"**{title[0].upper()}{title[1:]}**")
-        blocks.append(_table(("flag", ""), ((_written(flag), flag.text) for flag in flags)))
+        blocks.append(
+            _table(("flag", ""), ((_written(flag), flag.text) for flag in flags if not flag.hidden))
+        )
     return "\n\n".join(blocks)
 
 

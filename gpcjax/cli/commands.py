@@ -18,7 +18,7 @@ from gpcjax.sweep.options import (
     Option,
 )
 from gpcjax.teach.command import PORT, REPEAT, SEED, SPEED
-from gpcjax.tune.flags import FLAGS
+from gpcjax.tune.flags import FLAGS, NOT_TAKEN
 
 _ENVS, _PARTS, _FOLDER = str(OPTIONS["env"].allowed), ", ".join(PARTS), str(OPTIONS["out"].allowed)
 
@@ -72,6 +72,10 @@ def _tune() -> Command:
         for flag in flags
         if flag.name in ("--dry-run", "--quick", "--json")
     )
+    groups = [
+        (title, tuple(replace(flag, hidden=flag.key in NOT_TAKEN) for flag in flags))
+        for title, flags in groups
+    ]
     text = "a file of a sweep's settings, with a table [tune] of these flags and [tune.search]; flags win"
     return replace(
         sweep,

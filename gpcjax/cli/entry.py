@@ -1,5 +1,6 @@
 """The command line: parse and check first, import what computes second."""
 
+import argparse
 import errno
 import os
 import signal
@@ -13,6 +14,7 @@ from gpcjax.cli import running, showing
 from gpcjax.cli import words as grammar
 from gpcjax.cli.saying import show, tell
 from gpcjax.errors import Failure, ForeignError, UserError
+from gpcjax.installed import is_set_up
 from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
 
@@ -124,6 +126,15 @@ def _run(words: Sequence[str]) -> int:
         grammar.build().print_help(sys.stderr)
         return MISTAKE
     arguments = grammar.parse_words(words)
+    try:
+        return _done(arguments)
+    except ImportError as error:
+        if is_set_up() or not getattr(arguments, "dry_run", False):
+            raise
+        return tell(f"what this names is looked at once gpcjax is set up ({error})", 0)
+
+
+def _done(arguments: argparse.Namespace) -> int:
     match arguments.command:
         case "sweep" | "grid":
             return running.sweep(arguments)

@@ -22,6 +22,8 @@ class Flag:
     """Whether there is a --no-NAME as well; the switch is then true, false or None."""
     repeated: bool = False
     """Whether it may be given several times; its value is then the list of all."""
+    hidden: bool = False
+    """Whether it is read and not offered: a message says why the command has none."""
 
     @property
     def key(self) -> str:
@@ -53,8 +55,9 @@ class Command:
     @property
     def names(self) -> list[str]:
         """All flags as they are written, for messages."""
-        names = [flag.name for flag in self.flags]
-        return [*names, *(f"--no-{flag.name[2:]}" for flag in self.flags if flag.negative), "--help"]
+        offered = [flag for flag in self.flags if not flag.hidden]
+        names = [flag.name for flag in offered]
+        return [*names, *(f"--no-{flag.name[2:]}" for flag in offered if flag.negative), "--help"]
 
 
 def flag_of(option: Option, command: str) -> Flag:

@@ -1,6 +1,7 @@
 """Commands that run something: everything is checked first."""
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +18,8 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.reproduce.parts import SWEEPS, check, chosen, folder
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.environment import compute_platform, notes
-from gpcjax.sweep.keepable import check_keeping
+from gpcjax.sweep.fitting import left_out
+from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
@@ -73,10 +75,13 @@ def sweep(arguments: argparse.Namespace) -> int:
     if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
         check_sweep(out, spec)
         check_shard(out, shard, cells)
+        check_kept(out, running.keeping, spec)
     if spec.start is not None:
         from gpcjax.sweep.sources import check_start  # which reads run folders
 
         check_start(spec, given["start"].source)
+    for line in left_out(spec.env) if "algo" not in given else ():
+        tell(line, 0)
     if arguments.dry_run:
         workers = f"in {jobs} processes" if executor is None else "in a Ray"
         share = "" if shard is None else f"shard {shard} of "
@@ -84,12 +89,20 @@ def sweep(arguments: argparse.Namespace) -> int:
         return 0
     make_writable(out)
     status = _teach(spec, out, running)
-    if arguments.command == "grid" and not running.as_json:
-        from gpcjax.tune.best import write_best
-
-        for path in write_best(out, spec):
-            print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
+    if arguments.command == "grid" and shard is None:
+        _write_best(out, spec, arguments.json)
     return status
+
+
+def _write_best(out: Path, spec: SweepSpec | None, as_json: bool) -> None:
+    """The best settings of a grid, by its rows, as files; says where they are."""
+    from gpcjax.tune.best import write_best
+
+    paths = write_best(out, spec)
+    if as_json and paths:
+        print(json.dumps({"event": "best", "out": str(out), "files": [*map(str, paths)]}))
+    for path in () if as_json else paths:
+        print(f"{path}: the best settings, with other seeds: gpcjax sweep {path}")
 
 
 def _executor(given: Mapping[str, Given | Unchecked]) -> "Executor | None":
@@ -217,7 +230,11 @@ def merge(arguments: argparse.Namespace) -> int:
     from gpcjax.sweep.merging import merge
 
     whole = merge([Path(os.path.expanduser(folder)) for folder in arguments.folder], out)
-    return report(whole, arguments.json)
+    status = report(whole, arguments.json)
+    _write_best(
+        whole, None, arguments.json
+    )  # of lists of hyperparameters, as shards have no best of their own
+    return status
 
 
 def tune(arguments: argparse.Namespace) -> int:

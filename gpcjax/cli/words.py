@@ -67,7 +67,8 @@ def _add(commands: Any, name: str, command: Command, usage: str | None = None) -
         for flag in flags:
             if flag.metavar:
                 action = "append" if flag.repeated else "store"
-                group.add_argument(flag.name, action=action, metavar=flag.metavar, help=flag.text)
+                told = argparse.SUPPRESS if flag.hidden else flag.text
+                group.add_argument(flag.name, action=action, metavar=flag.metavar, help=told)
             else:
                 action = argparse.BooleanOptionalAction if flag.negative else "store_true"
                 group.add_argument(flag.name, action=action, help=flag.text)

@@ -74,6 +74,8 @@ class Counters:
     episodes: int = 0
     compile_seconds: float = 0.0
     compilations: int = 0
+    kept: int = 0
+    """Of these, those that are kept for other processes."""
     chunks: int = 0
     promotions: int = 0
 
@@ -319,6 +321,7 @@ class Block:
         self._counters.compilations += 1
         if self._kept is None or key is None:
             return lowered.compile()
+        self._counters.kept += 1
         return self._kept.compiled(key, lowered, len(self._leaves), len(given), others)
 
     @contextmanager

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from gpcjax.engine.lanes import Lane
 
-FORMAT = 1
+FORMAT = 2
 """Of what `pack` gives."""
 
 Arrays = dict[str, np.ndarray]

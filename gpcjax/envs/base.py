@@ -1,6 +1,8 @@
 """The shape of an environment: brax's reset and step, with `terminated` and `truncated` kept apart."""
 
 import abc
+import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -117,27 +119,58 @@ def started(env: Env, key: PRNGKeyArray) -> State:
     Raises:
         UserError: it is something else; the message names the class of the task and the field.
     """
-    return _fitted(env, "reset", env.reset(key))
+    return fitted(env, "reset", env.reset(key))
 
 
 def stepped(env: Env, state: State, action: Float[Array, " action"]) -> State:
-    """`env.step(state, action)`, checked likewise, with physics of the same form as before. Raises UserError."""
-    after = _fitted(env, "step", env.step(state, action))
-    (new, structure), (old, before) = map(jax.tree.flatten, (after.physics, state.physics))
-    fits = structure == before and all(
-        jnp.shape(a) == jnp.shape(b) and (_dtype(a) == _dtype(b) or jnp.result_type(a, b) == _dtype(b))
-        for a, b in zip(new, old, strict=True)
-    )
-    if not fits:
-        forms = (jax.tree.map(_form, each.physics) for each in (after, state))
-        raise UserError(
-            "{}.step: physics becomes {}, it was {}".format(type(env).__name__, *map(shown, forms))
-        )
+    """`env.step(state, action)`, checked likewise: physics have the form that they had, and `max_steps` end it.
+
+    Raises:
+        UserError: as `started`, or the state has other parts than before.
+    """
+    after = fitted(env, "step", env.step(state, action))
+    if not _counts(env):
+        after = limited(env, state, after)
+    if type(after) is not type(state):
+        kinds = type(after).__name__, type(state).__name__
+        raise UserError("{}: step gives a {}, reset a {}".format(type(env).__name__, *kinds))
+    for name in (each.name for each in dataclasses.fields(state) if each.name not in _CAST):
+        _check_form(f"{type(env).__name__}.step: {name}", getattr(after, name), getattr(state, name))
     return after
 
 
-def _fitted(env: Env, method: str, state: Any) -> State:
-    """A state as the loops carry it: real numbers as float64, counts as int32, flags as they are."""
+def limited(env: Env, before: State, after: State) -> State:
+    """A state whose time is one step further, and which is truncated after `max_steps`, whatever its task says."""
+    time = before.time + 1
+    return _replaced(after, {"time": time, "truncated": after.truncated | (time >= env.max_steps)})
+
+
+def _counts(env: Env) -> bool:
+    """Whether the step is one of ours, which counts and truncates: their programs stay as they are, to the bit."""
+    return type(env).step.__module__.startswith("gpcjax.")
+
+
+def _check_form(source: str, new: Any, old: Any) -> None:
+    (leaves, structure), (others, before) = map(jax.tree.flatten, (new, old))
+    fits = structure == before and all(
+        jnp.shape(a) == jnp.shape(b) and (_dtype(a) == _dtype(b) or jnp.result_type(a, b) == _dtype(b))
+        for a, b in zip(leaves, others, strict=True)
+    )
+    if not fits:
+        forms = (jax.tree.map(_form, each) for each in (new, old))
+        raise UserError("{} becomes {}, it was {}".format(source, *map(shown, forms)))
+
+
+_CAST = ("obs", "reward", "terminated", "truncated", "time")
+"""Fields of a state that have a type and a shape of their own; all else is the task's."""
+
+
+def fitted(env: Env, method: str, state: Any) -> State:
+    """A state as the loops carry it: real numbers as float64, counts as int32, flags as they are.
+
+    Raises:
+        UserError: it is no state, or has fields of another form; `method` is what gave it.
+    """
     who = f"{type(env).__name__}.{method}"
     if not isinstance(state, State):
         raise UserError(f"{who} gives a {type(state).__name__}, declared is a State (gpcjax.envs.base)")
@@ -149,16 +182,21 @@ def _fitted(env: Env, method: str, state: Any) -> State:
         "truncated": ((), "a truth value", (np.bool_,), np.bool_),
         "time": ((), "a whole number", (np.integer,), np.int32),
     }
-    fields: dict[str, Any] = {"physics": state.physics}
+    changed: dict[str, Any] = {}
     for name, (shape, words, kinds, dtype) in declared.items():
         value = getattr(state, name)
         found = _dtype(value)
         kinds_fit = found is not None and any(jnp.issubdtype(found, kind) for kind in kinds)
         if not kinds_fit or jnp.shape(value) != shape:
             raise UserError(f"{who}: {name} is {_form(value)}, declared is {words} of shape {shape}")
-        kept = isinstance(value, jax.Array) and found == dtype
-        fields[name] = value if kept else jnp.asarray(value, dtype)
-    return state if all(fields[name] is getattr(state, name) for name in fields) else State(**fields)
+        if not (isinstance(value, jax.Array) and found == dtype):
+            changed[name] = jnp.asarray(value, dtype)
+    return _replaced(state, changed) if changed else state
+
+
+def _replaced(state: State, fields: Mapping[str, Any]) -> State:
+    """The state with other values of these fields; of a subclass that has more fields, with those too."""
+    return eqx.tree_at(lambda state: [getattr(state, name) for name in fields], state, [*fields.values()])
 
 
 def _dtype(value: Any) -> Any:

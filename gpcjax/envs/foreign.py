@@ -1,30 +1,25 @@
-"""Tasks and experts from elsewhere: a person's own module, gymnasium by `gym:ID`, brax by `brax:NAME`."""
+"""Tasks from elsewhere: a person's own module, gymnasium by `gym:ID`, brax by `brax:NAME`."""
 
+import dataclasses
 import functools
-import inspect
-import math
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax import registry
-from gpcjax.allowed import shown
+from gpcjax.allowed import POSITIVE, checked, checked_series, converted, shown
 from gpcjax.describe import TaskSpec
-from gpcjax.elsewhere import path_here
-from gpcjax.envs.base import Env, State, started, stepped
+from gpcjax.envs.base import Env, State, fitted, limited, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
 from gpcjax.envs.brax_tasks import KNOWN, Known
 from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
-from gpcjax.envs.registry import is_folder, make_env
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.making import Maker
 
-_EXPERT = "a function of an observation, or a class or function without arguments that makes one"
+_TASK = "a class with reset and step (gpcjax.Env), a task of gymnasium or brax, or a function that makes one"
 
 
 def described_elsewhere(prefix: str, name: str) -> TaskSpec:
@@ -37,7 +32,9 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
     if prefix == "gym":
         make: Any = functools.partial(gym_env, name)
         made: Env | HostEnv = _refusing(full, make)
-        return TaskSpec(full, make, on_host=True, sizes=_sizes_of(made), time_step=_time_step(made))
+        return TaskSpec(
+            full, make, on_host=True, sizes=sizes_of(made), time_step=_time_step(f"env {full}", made)
+        )
     known = KNOWN.get(name, Known("", ""))
     make = functools.partial(brax_env, name, name=full, max_steps=known.max_steps)
     made = _refusing(full, make)
@@ -48,78 +45,104 @@ def described_elsewhere(prefix: str, name: str) -> TaskSpec:
         label=known.label,
         unit=known.unit,
         actions=known.actions,
-        sizes=_sizes_of(made),
-        time_step=_time_step(made),
+        sizes=sizes_of(made),
+        time_step=_time_step(f"env {full}", made),
     )
 
 
-def _sizes_of(env: Env | HostEnv) -> tuple[int, int]:
-    return env.obs_size, env.action_size
-
-
-def _time_step(env: Env | HostEnv) -> float | None:
-    """Seconds of a step, where a task says so: by a number `time_step`, as brax's `dt`, or as gymnasium's frames."""
-    said = getattr(env, "time_step", None)
-    return float(said) if isinstance(said, int | float) and math.isfinite(said) and said > 0 else None
+def sizes_of(env: Env | HostEnv) -> tuple[int, int]:
+    """Those of its observations and of its actions."""
+    return int(env.obs_size), int(env.action_size)
 
 
 def _refusing(name: str, make: Callable[[], Any]) -> Any:
     """What `make` makes; what refuses it speaks of the setting."""
     try:
         return make()
+    except ForeignError as error:
+        raise ForeignError(f"env {error.arguments[0]}", *error.arguments[1:]) from None
     except ImportError as error:
         raise UserError(f"env {name}: {error}; a part of it is not installed") from None
     except ValueError as error:
-        raise UserError(f"env {error}") from None
+        raise UserError(f"env {str(error).removeprefix('env ')}") from None
+    except Exception as error:
+        raise ForeignError(f"env {name}: it cannot be made", error) from None
 
 
-def task_of(name: str, found: Callable[..., Any]) -> TaskSpec:
-    """The description of a task of a person's own: a class, or a function, that makes it without arguments.
+def task_of(name: str, found: Callable[..., Any] | TaskSpec) -> TaskSpec:
+    """The description of a task of a person's own: one of theirs, or of a class or a function that makes the task.
 
-    It is made once, to see what it is. Its experts, its name in reports and its presets can be told by giving a
-    `gpcjax.TaskSpec` instead.
+    It is made once without arguments, to see what it is; what a description of theirs leaves open, it says itself.
 
     Raises:
-        UserError: what it makes is no task that can be taught.
+        UserError: what it makes is no task that can be taught, or another one than its description says.
         ForeignError: it cannot be made, or its reset or its step fails.
     """
-    make = Maker(f"env {name}", found, functools.partial(_accepted, name))
+    source, told = f"env {name}", found if isinstance(found, TaskSpec) else None
+    maker = found if told is None else told.make
+    make = _Making(name, registry.imported(maker, source) if isinstance(maker, str) else maker)
     env = make()
-    return TaskSpec(
+    sizes, spec = sizes_of(env), told or TaskSpec(name=name, make=make)
+    if not all(isinstance(table, Mapping) for table in (spec.experts, spec.presets, *spec.presets.values())):
+        raise UserError(f"{source}: experts, presets and each of these are tables by name: give a dict")
+    if spec.sizes is not None and tuple(spec.sizes) != sizes:
+        raise UserError(f"{source}: its description has sizes {shown(spec.sizes)}, its task has {sizes}")
+    return dataclasses.replace(
+        spec,
         name=name,
         make=make,
         on_host=isinstance(env, HostEnv),
-        sizes=_sizes_of(env),
-        time_step=_time_step(env),
+        sizes=sizes,
+        time_step=_time_step(source, env) if spec.time_step is None else spec.time_step,
+        obs_scale=_obs_scale(source, sizes[0], spec.obs_scale or _said(source, env, "obs_scale")),
     )
 
 
-def _accepted(name: str, thing: Any) -> Env | HostEnv:
-    """What was made, in our shape, if it is a task that can be taught."""
-    env = _adapted(name, thing)
-    if isinstance(env, Env):
-        _check(f"env {name}", env)
-    return env
+class _Making:
+    """Makes a task in our shape, by what a person's own module has. Its signature is that of what it calls."""
 
+    def __init__(self, name: str, found: Any):
+        """Raises UserError: this makes nothing, or Python cannot tell which arguments it takes."""
+        source = f"env {name}"
+        if not callable(found):
+            raise UserError(f"{source}: {shown(found)} is no task, give {_TASK}")
+        self._name, self._found = name, found
+        self._maker = Maker(source, found, lambda made: made)
+        self.__signature__ = self._maker.__signature__
 
-def _adapted(name: str, thing: Any) -> Env | HostEnv:
-    """What was made, in our shape."""
-    if isinstance(thing, Env | HostEnv):
-        return thing
-    kinds = {base.__module__.partition(".")[0] for base in type(thing).__mro__}
-    if "brax" in kinds:
-        return _refusing(name, lambda: brax_env(thing, name=name))
-    if "gymnasium" in kinds:
-        return HostEnv(name, type(thing), None)
-    if all(callable(getattr(thing, method, None)) for method in ("reset", "step")) and hasattr(
-        thing, "obs_size"
-    ):
-        # Of a class of its own, which messages name.
-        return type(type(thing).__name__, (Alike,), {})(thing)
-    raise UserError(
-        f"env {name}: {shown(thing)} is no task, give a class with reset and step (gpcjax.Env), a task of gymnasium "
-        "or brax, or a function that makes one"
-    )
+    @property
+    def module(self) -> str:
+        """Where what it calls comes from; "" where Python does not say."""
+        return self._maker.module
+
+    def __call__(self, **values: Any) -> Env | HostEnv:
+        """One more, with these parameters.
+
+        Raises:
+            UserError: it is no task that can be taught.
+            ForeignError: it cannot be made, or its reset or its step fails.
+        """
+        env = self._adapted(self._maker(**values), values)
+        if isinstance(env, Env):
+            _check(f"env {self._name}", env)
+        return env
+
+    def _adapted(self, thing: Any, values: dict[str, Any]) -> Env | HostEnv:
+        """What was made, in our shape."""
+        name = self._name
+        if isinstance(thing, Env | HostEnv):
+            return thing
+        kinds = {base.__module__.partition(".")[0] for base in type(thing).__mro__}
+        if "brax" in kinds:
+            return _refusing(name, lambda: brax_env(thing, name=name))
+        if "gymnasium" in kinds:  # each simulation is made by what made this one, with the same arguments
+            return _refusing(name, lambda: HostEnv(name, self._found, None, values))
+        if all(callable(getattr(thing, method, None)) for method in ("reset", "step")) and hasattr(
+            thing, "obs_size"
+        ):
+            # Of a class of its own, which messages name.
+            return type(type(thing).__name__, (Alike,), {})(thing)
+        raise UserError(f"env {name}: {shown(thing)} is no task, give {_TASK}")
 
 
 class Alike(Env):
@@ -146,18 +169,28 @@ class Alike(Env):
     def action_size(self) -> int:
         return self.task.action_size
 
+    @property
+    def time_step(self) -> Any:
+        """Seconds of a step, if the task says so."""
+        return getattr(self.task, "time_step", None)
+
+    @property
+    def obs_scale(self) -> Any:
+        """How large each number of an observation usually is, if the task says so."""
+        return getattr(self.task, "obs_scale", None)
+
     def reset(self, key: PRNGKeyArray) -> State:
         return self.task.reset(key)
 
     def step(self, state: State, action: Float[Array, " action"]) -> State:
-        return self.task.step(state, action)
+        return limited(self, state, fitted(self, "step", self.task.step(state, action)))
 
 
 def _check(source: str, env: Env) -> None:
     """Traces a reset and a step, so that a mistake shows before anything is compiled."""
     try:
         sizes = env.obs_size, env.action_size, env.max_steps
-        if not all(isinstance(size, int) and size >= 1 for size in sizes):
+        if not all((converted(int, size) or 0) >= 1 for size in sizes):
             raise UserError(
                 f"obs_size, action_size and max_steps must be whole numbers above zero, got {sizes}"
             )
@@ -169,55 +202,19 @@ def _check(source: str, env: Env) -> None:
         raise ForeignError(f"{source}: its reset or its step fails", error) from None
 
 
-def expert(env_name: str, name: str | Callable[..., Any]) -> Callable[[Any], Any]:
-    """The expert of a task that is no built-in one: a folder of a saved policy, `module:function`, or the function.
-
-    Raises:
-        UserError: it is none, or one for observations or actions of another size.
-        ForeignError: its module or the function itself fails.
-    """
-    source = f"oracle {name if isinstance(name, str) else shown(name)}"
-    if not isinstance(name, str):
-        return _function(source, env_name, name)
-    if is_folder(name):
-        load = registry.resolve("gpcjax.policies.saved:load_policy")
-        found = load(Path(path_here(name)))
-        made = _sizes(env_name)
-        has = found.controller.obs_size, found.controller.action_size
-        if has != tuple(made):
-            raise UserError(
-                f"{source}: this policy takes {has[0]} observations and gives {has[1]} actions, {env_name} has "
-                f"{made[0]} and {made[1]}"
-            )
-        return found
-    found = registry.imported(name, source)
-    if not callable(found):
-        raise UserError(f"{source}: {shown(found)} is none, give {_EXPERT}")
-    return _function(source, env_name, found)
-
-
-def _function(source: str, env_name: str, found: Any) -> Callable[[Any], Any]:
-    """A function of an observation, made first where it is a class or a function without arguments."""
-    obs_size, action_size = _sizes(env_name)
+def _said(source: str, env: Env | HostEnv, name: str) -> Any:
+    """What a task says of itself under a name; None if nothing."""
     try:
-        takes = [
-            each
-            for each in inspect.signature(found).parameters.values()
-            if each.default is each.empty and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
-        ]
-        function = found if takes and not inspect.isclass(found) else found()
-        if not callable(function):
-            raise UserError(f"{source}: {shown(function)} is none, give {_EXPERT}")
-        shape = jax.eval_shape(function, jax.ShapeDtypeStruct((obs_size,), float))
-    except UserError:
-        raise
+        return getattr(env, name, None)
     except Exception as error:
-        raise ForeignError(f"{source}: it fails at an observation of {obs_size} numbers", error) from None
-    size = getattr(shape, "shape", None)
-    if size != (action_size,):
-        raise UserError(f"{source}: its action has shape {size}, {env_name} takes ({action_size},)")
-    return lambda obs: jnp.clip(jnp.asarray(function(obs), float), -1.0, 1.0)
+        raise ForeignError(f"{source}: its {name} fails", error) from None
 
 
-def _sizes(env_name: str) -> tuple[int, int]:
-    return registry.find("task", env_name).sizes or _sizes_of(make_env(env_name))
+def _time_step(source: str, env: Env | HostEnv) -> float | None:
+    """Seconds of a step, where a task says so: by a number `time_step`, as brax's `dt`, or as gymnasium's frames."""
+    said = _said(source, env, "time_step")
+    return None if said is None else checked(f"{source}: time_step", said, float, POSITIVE)
+
+
+def _obs_scale(source: str, size: int, said: Any) -> tuple[float, ...] | None:
+    return None if said is None else checked_series(f"{source}: obs_scale", said, size, POSITIVE)

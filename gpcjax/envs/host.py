@@ -1,8 +1,9 @@
 """Tasks that gymnasium simulates on the host, one object an episode, beside those that are compiled."""
 
+import inspect
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gpcjax.allowed import STEPS, checked, converted, holds_numbers, is_no_data, shown
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 
 UNLIMITED = 1000
 """Steps of an episode that nothing else ends."""
@@ -38,17 +39,18 @@ class HostEnv:
     | Field       | Meaning                                                                              |
     |-------------|--------------------------------------------------------------------------------------|
     | `name`      | under which results of this task are kept                                            |
-    | `gym_id`    | of gymnasium, or the class of an environment that is not registered there             |
+    | `gym_id`    | of gymnasium, or what makes an environment that is not registered there: its class, or a function |
     | `max_steps` | of an episode; None leaves its end to the task, or is 1,000 where gymnasium knows none |
-    | `options`   | keyword arguments of `gymnasium.make`, or of the class                               |
+    | `options`   | keyword arguments of `gymnasium.make`, or of what makes it                           |
 
     Raises:
         ValueError: gymnasium does not know the task, a part of it is not installed, its observations are no vector, or
-            its actions are not bounded numbers.
+            its actions are not bounded numbers; a function gives the same environment twice.
+        ForeignError: the environment cannot be made.
     """
 
     name: str
-    gym_id: str | type[Any]
+    gym_id: str | Callable[..., Any]
     max_steps: int | None
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     obs_size: int = field(init=False)
@@ -68,7 +70,12 @@ class HostEnv:
             object.__setattr__(self, "max_steps", max_steps)
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
         env = self._make()
-        observed, actions = env.observation_space, env.action_space
+        if not isinstance(self.gym_id, str | type) and self._make() is env:
+            raise ValueError(
+                f"{self.name}: it gives the same object twice, each simulation needs one of its own"
+            )
+        observed: Any = getattr(env, "observation_space", None)
+        actions: Any = getattr(env, "action_space", None)
         if not _is_box(observed) or len(observed.shape) != 1:
             raise ValueError(f"{self.name}: its observations are {_space(observed)}, a flat Box is supported")
         if not _is_box(actions) or len(actions.shape) != 1 or not actions.is_bounded():
@@ -81,8 +88,7 @@ class HostEnv:
         object.__setattr__(self, "_centre", (low + high) / 2)
         object.__setattr__(self, "_reach", (high - low) / 2)
         object.__setattr__(self, "time_step", _time_step(env))
-        own = getattr(env.spec, "max_episode_steps", None)
-        limit = self.max_steps if self.max_steps is not None or own is not None else UNLIMITED
+        limit = self.max_steps or (None if _has_limit(env) else UNLIMITED)
         object.__setattr__(self, "_limit", limit)
 
     def __hash__(self) -> int:
@@ -103,11 +109,15 @@ class HostEnv:
     def simulate(self, pictures: bool = False) -> "Simulation":
         """A simulation of its own; `reset` comes first. With `pictures` it makes them, where the task can."""
         more = {"render_mode": "rgb_array"} if pictures and self.makes_pictures else {}
-        return Simulation(self._make(**more), self._limit, self.obs_size, whole=self.max_steps is None)
+        return Simulation(
+            self._make(**more), self._limit, self.obs_size, whole=self.max_steps is None, name=self.name
+        )
 
     @property
     def makes_pictures(self) -> bool:
-        """Whether the task says that it can show itself."""
+        """Whether the task says that it can show itself, and takes that it is to."""
+        if not isinstance(self.gym_id, str) and not _takes(self.gym_id, "render_mode"):
+            return False
         modes = (getattr(self._make(), "metadata", None) or {}).get("render_modes") or ()
         return "rgb_array" in modes
 
@@ -118,8 +128,8 @@ class HostEnv:
             # Of Box2D's own wrappers: where warnings are errors, its import would end the process.
             warnings.simplefilter("ignore", DeprecationWarning)
             try:
-                if isinstance(self.gym_id, type):
-                    return self.gym_id(**self.options, **more)
+                if not isinstance(self.gym_id, str):
+                    return self._own(self.gym_id, **more)
                 made = gymnasium.make(self.gym_id, disable_env_checker=True, **self.options, **more)
                 return made if self.max_steps is None else made.unwrapped
             except (gymnasium.error.Error, ImportError, TypeError, AssertionError) as error:
@@ -128,6 +138,18 @@ class HostEnv:
                 if missing and any(name in str(error) for name in ("MuJoCo", "mujoco", "imageio", "glfw")):
                     error = f"it needs the extra, pip install 'gpcjax[mujoco]' ({error})"
                 raise ValueError(f"{self.name}: gymnasium cannot make {self.gym_id!r}: {error}") from None
+            except UserError:
+                raise
+            except Exception as error:  # of the task's own constructor
+                raise ForeignError(f"{self.name}: it cannot be made", error) from None
+
+    def _own(self, make: Callable[..., Any], **more: Any) -> Any:
+        try:
+            return make(**self.options, **more)
+        except UserError:
+            raise
+        except Exception as error:
+            raise ForeignError(f"{self.name}: it cannot be made", error) from None
 
 
 _TRUTH = (bool, np.bool_)
@@ -138,10 +160,12 @@ class Simulation:
     """One environment of gymnasium: `reset` begins an episode, `step` advances it.
 
     What happens follows from the seed and the actions alone, whatever was simulated before. Both raise UserError where
-    the environment gives something else than it declares; the message names its class.
+    the environment gives something else than it declares; the message names its class. Both raise ForeignError where it
+    fails, with the `name` of the task.
     """
 
-    def __init__(self, env: Any, limit: int | None, obs_size: int, whole: bool):
+    def __init__(self, env: Any, limit: int | None, obs_size: int, whole: bool, name: str):
+        self._name = name
         self._env, self._limit, self._time, self._shape = env, limit, 0, (obs_size,)
         self._whole = whole
         """Whether its own truncation counts, and its actions are of its own type."""
@@ -149,7 +173,11 @@ class Simulation:
     def reset(self, seed: int) -> Float[np.ndarray, " obs"]:
         """Begins the episode of this seed (a whole number of at least 0); gives the first observation."""
         self._time = 0
-        match self._env.reset(seed=seed):
+        try:
+            given = self._env.reset(seed=seed)
+        except Exception as error:
+            raise ForeignError(f"env {self._name}: its reset fails", error) from None
+        match given:
             case (obs, _):
                 return self._observed("reset", obs)
             case other:
@@ -159,7 +187,10 @@ class Simulation:
         """One step with an action between the bounds of the task (`HostEnv.scaled`)."""
         if self._whole:
             action = action.astype(self._env.action_space.dtype)
-        given = self._env.step(action)
+        try:
+            given = self._env.step(action)
+        except Exception as error:
+            raise ForeignError(f"env {self._name}: its step fails", error) from None
         if len(given) != 5:
             raise self._odd("step", "result", given, "(obs, reward, terminated, truncated, info)")
         obs, reward, terminated, truncated, _ = given
@@ -205,6 +236,20 @@ def _time_step(env: Any) -> float | None:
     return next((value for value in said if value is not None and 0 < value < math.inf), None)
 
 
+def _has_limit(env: Any) -> bool:
+    """Whether one of gymnasium's wrappers ends its episodes, however long."""
+    import gymnasium
+
+    while env is not None and not isinstance(env, gymnasium.wrappers.TimeLimit):
+        env = getattr(env, "env", None)
+    return env is not None
+
+
+def _takes(make: Callable[..., Any], name: str) -> bool:
+    parameters = inspect.signature(make).parameters
+    return name in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+
+
 def _is_box(space: Any) -> bool:
     import gymnasium
 
@@ -237,17 +282,17 @@ def gym_env(env: Any, *, max_steps: Any = None, name: Any = None, **arguments: A
     """Any task of gymnasium with a bounded flat Box of actions and a flat Box of observations, simulated on the host.
 
     Args:
-        env: the id that gymnasium knows it by, or the class of an environment.
+        env: the id that gymnasium knows it by, or what makes an environment: its class, or a function.
         max_steps: after which an episode is truncated; without it the task keeps its own time limit and truncation.
         name: under which results are kept; by default `gym:ID`, or the name of the class.
-        **arguments: of `gymnasium.make`, or of the class.
+        **arguments: of `gymnasium.make`, or of what makes it.
 
     Raises:
         ValueError: gymnasium does not know it, a part of it is not installed, or its spaces are others.
     """
-    if not isinstance(env, str | type) or (isinstance(env, str) and not env):
+    if not (callable(env) or isinstance(env, str)) or not env:
         raise UserError(f"env {shown(env)}: give the id of a task of gymnasium, or the class of one")
     if name is not None and (not isinstance(name, str) or not name):
         raise UserError(f"name {shown(name)}: give a word")
-    label = name or (env.__name__ if isinstance(env, type) else f"gym:{env}")
+    label = name or (f"gym:{env}" if isinstance(env, str) else getattr(env, "__name__", "gym"))
     return HostEnv(label, env, max_steps, MappingProxyType(arguments))

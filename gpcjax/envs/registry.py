@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from gpcjax.envs.host import HostEnv
 
 
+NOBODY = "none"
+"""In the place of an expert's name, where a teacher advises without one on a task that has none."""
+
+
 def task(env_name: Any) -> TaskSpec:
     """The description of a task. Raises UserError for an unknown one."""
     return registry.find("task", env_name)
@@ -94,16 +98,23 @@ def check_expert(env_name: str, expert_name: Any, source: str) -> None:
     """Refuses what cannot be an expert of a task, as far as that is known before it is made.
 
     Raises:
-        UserError: no name of an expert of the task, no folder, no `module:function`. `source` begins the message.
+        UserError: no name of an expert of the task, no folder, no `module:function`, or a function that does not fit.
+            `source` begins the message.
+        ForeignError: its module or the function itself fails.
     """
     experts = task(env_name).experts
-    if isinstance(expert_name, str) and expert_name not in experts and is_folder(expert_name):
-        if not os.path.exists(os.path.join(path_here(expert_name), "card.json")):
-            raise UserError(
-                f"{source} {shown(expert_name)}: no policy is in this folder (card.json is missing)"
-            )
+    is_name = isinstance(expert_name, str)
+    entry: Any = experts.get(expert_name, expert_name) if is_name else None
+    if isinstance(entry, tuple):
         return
-    if isinstance(expert_name, str) and (expert_name in experts or ":" in expert_name):
+    if isinstance(entry, str) and is_folder(entry):
+        if not os.path.exists(os.path.join(path_here(entry), "card.json")):
+            raise UserError(f"{source} {shown(entry)}: no policy is in this folder (card.json is missing)")
+        return
+    if is_name and (expert_name in experts or ":" in expert_name):
+        from gpcjax.envs import foreign_experts
+
+        foreign_experts.check_expert(env_name, entry, f"{source} {expert_name}")
         return
     others = [*experts, "the folder of a saved policy", "module:function"]
     raise UserError(
@@ -126,9 +137,9 @@ def make_expert(env_name: str, expert_name: str) -> "Callable[[Array], Array]":
     check_expert(env_name, expert_name, "oracle")
     entry = task(env_name).experts.get(expert_name, expert_name)
     if not isinstance(entry, tuple):
-        from gpcjax.envs import foreign
+        from gpcjax.envs import foreign_experts
 
-        return foreign.expert(env_name, entry)
+        return foreign_experts.expert(env_name, entry)
     target, *arguments = entry
     made = registry.resolve(target)
     return made(*arguments)

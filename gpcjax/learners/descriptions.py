@@ -117,6 +117,7 @@ COACH = LearnerSpec(
         Setting("coach_constant", "c_c", NON_NEGATIVE, "constant part of COACH's rate (2.3)"),
     ),
     options=("lower", "upper", "counts"),
+    needs=("lower", "upper", "counts"),
 )
 
 # As published but for the learning rate (0.003), which sweeps/grid_pendulum_d-coach.toml found for sparser advice.

@@ -178,7 +178,17 @@ def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:
     """
     paths = [checked_path("folder", each) for each in folders]
     names = folder_names(paths)
-    read = tuple(opened(path, name, tell) for path, name in zip(paths, names, strict=True))
+    return compared([opened(path, name, tell) for path, name in zip(paths, names, strict=True)], by)
+
+
+def compared(folders: Sequence[Folder], by: str | Sequence[str] | None = None) -> Comparison:
+    """Compare what was read of run folders, as `compare` does.
+
+    Raises:
+        UserError: tasks that differ, settings of `by` that none of them varies, no group in common, no seed in common.
+    """
+    read = tuple(folders)
+    names = [folder.name for folder in read]
     task, *others = unique(folder.study.env for folder in read)
     if others:
         told = ", ".join(f"{folder.study.env} in {folder.name}" for folder in read)

@@ -14,15 +14,17 @@ from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points, reading
+from gpcjax.sweep.growth import usual
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
+from gpcjax.sweep.requested import chosen_of
 from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.spec import ORACLE
+from gpcjax.sweep.spec import ORACLE, SweepSpec
 
 PRESET = "preset"
-"""Value of a setting that a specification leaves to the learner or the teacher."""
+"""Value of a setting that a specification leaves to the learner or the teacher, where that is not known here."""
 
 OWN = ("oracle", "error", "algo")
 """Settings that a group has beside its point."""
@@ -74,8 +76,19 @@ class Folder:
             return None
         if name in self.study.varying:
             return group.point.get(name)
-        values = self.values.get(name, (PRESET,))
+        if name not in self.values:
+            return self._usual(group.algo, name)
+        values = self.values[name]
         return values[0] if len(values) == 1 else None
+
+    def _usual(self, algo: str, name: str) -> Value:
+        """The value of a setting that nobody gave here, where it is known without anybody's own module."""
+        (teacher,), env = self.values["teacher"], self.study.env
+        named = {"learner": algo, "teacher": teacher, "task": env}
+        if not all(each in built_in(kind) for kind, each in named.items()):
+            return PRESET
+        value = usual(env, algo, str(teacher), name)
+        return PRESET if value is None else value
 
     @cached_property
     def varied(self) -> frozenset[tuple[str, str]]:
@@ -115,20 +128,23 @@ class Match:
     alone: tuple[tuple[Group, ...], tuple[Group, ...]]
 
 
-def opened(path: Path, name: str, say: Callable[[str], None]) -> Folder:
+def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | None = None) -> Folder:
     """Read a run folder: all that a comparison takes from a store and its manifest.
 
-    What is damaged or foreign in the store is left out; `say` gets a line for it.
+    What is damaged or foreign in the store is left out; `say` gets a line for it. With a `spec`, which the folder was
+    asked for, the folder is read as if it held that alone.
 
     Raises:
         UserError: it is no run folder, holds no episodes yet, or none that is whole.
     """
     check_report(path)
     rows = reading.read(path, say)
+    if spec is not None:
+        rows = chosen_of(rows, spec)
     manifest = rows.manifest
     specification = {**manifest["specification"]}
-    for each, usual in _LATER.items():
-        specification.setdefault(each, usual)
+    for each, meant in _LATER.items():
+        specification.setdefault(each, meant)
     if specification["start"] is not None:
         specification["start"] = Source(**specification["start"]).label
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}

@@ -8,6 +8,7 @@ from typing import Any
 from gpcjax.report.document import Sheet
 from gpcjax.report.words import algorithm
 from gpcjax.sweep.growth import requests
+from gpcjax.sweep.keeping import ENTRY, held_keeping, words_of
 from gpcjax.sweep.listing import STRANGE, Contents, RunFolder, commands
 from gpcjax.sweep.points import given
 from gpcjax.sweep.seeds import Seeds
@@ -48,6 +49,7 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
         "episodes": str(specification["episodes"]),
         **{name: _listed(values) for name, values in given(specification).items()},
         "cells": f"{held.finished:,} of {manifest['cells']:,}",
+        **({"keeps": words_of(held_keeping(manifest))} if ENTRY in manifest else {}),
         "asked": "once" if len(asked) == 1 else f"{len(asked)} times",
         "parts": f"{held.parts:,}, {_size(held.size)} in all",
         "took": f"{_duration(manifest['wall_time_s'])}, {manifest['env_steps']:,} steps",

@@ -15,6 +15,7 @@ from gpcjax.report.arranged import Lines, arranged, broken, compared_length, par
 from gpcjax.report.statistics import Scores, first_crossing
 from gpcjax.sweep.coded import Coded, joint
 from gpcjax.sweep.counted import Episodes
+from gpcjax.sweep.labels import remember
 from gpcjax.sweep.sofar import FINAL_EPISODES as FINAL_EPISODES
 
 T = TypeVar("T")
@@ -186,6 +187,7 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
     Raises:
         UserError: there is no row.
     """
+    remember(manifest)
     specification = manifest.get("specification", {})
     baselines = manifest.get("baselines") or {}
     if isinstance(episodes, pd.DataFrame):

@@ -1,16 +1,16 @@
 """How names and numbers are written in tables, figures and the HTML report."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from gpcjax.describe import Setting
 from gpcjax.learners.descriptions import CREDIT
-from gpcjax.registry import Kind, built_in, find
+from gpcjax.registry import built_in, find
 from gpcjax.report.groups import Group, Study
 from gpcjax.report.statistics import Interval
 from gpcjax.streams import ASCII
+from gpcjax.sweep.labels import known
 
 ABSENT = "-"
 STATUS_TEXTS = {"full": "dictionary full", "non-finite": "a number was not finite"}
@@ -34,7 +34,7 @@ _GREEK = ("alpha", "beta", "gamma", "delta", "sigma", "tau", "nu")
 
 def algorithm(name: str) -> str:
     """As the thesis writes it."""
-    return name if (spec := _spec("learner", name)) is None else spec.title
+    return name if (spec := known("learner", name)) is None else spec.title
 
 
 def drawn_algorithm(name: str) -> str:
@@ -45,12 +45,7 @@ def drawn_algorithm(name: str) -> str:
 
 def task(name: str) -> str:
     """A task as a sentence calls it."""
-    return name if (spec := _spec("task", name)) is None else spec.title
-
-
-def _spec(kind: Kind, name: str) -> Any:
-    """The description of what a store names; None where it is not known here, or a module would be run for it."""
-    return find(kind, name) if name in built_in(kind) else None
+    return name if (spec := known("task", name)) is None else spec.title
 
 
 def percent(error: float) -> str:
@@ -90,7 +85,7 @@ def value(setting: float | None) -> str:
 
 def action(env: str, dimension: int) -> str:
     """What an action dimension (from 0) moves."""
-    spec = _spec("task", env)
+    spec = known("task", env)
     names = () if spec is None else spec.actions
     return names[dimension] if dimension < len(names) else f"action {dimension + 1}"
 
@@ -122,7 +117,7 @@ def listed(names: Sequence[str]) -> str:
 
 def return_label(study: Study) -> str:
     """What the return counts, with its unit where it has one."""
-    spec = _spec("task", study.env)
+    spec = known("task", study.env)
     return f"return ({spec.unit})" if spec is not None and spec.unit else "return"
 
 

@@ -12,12 +12,13 @@ import numpy as np
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import checked
 from gpcjax.describe import LearnerSpec, TeacherSpec
+from gpcjax.engine.evaluate import idle
 from gpcjax.engine.history import Credit
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Start
 from gpcjax.engine.pool import Pool, Tier, tiers
-from gpcjax.envs.registry import expert_names, make_env, make_expert
+from gpcjax.envs.registry import NOBODY, expert_names, make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.gp.batching import together
@@ -138,7 +139,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
     on_the_way = keeping is not None and (keeping.every or keeping.best)
     return Pool(
         env=env,
-        expert=make_expert(program.env, program.oracle),
+        expert=idle(env) if program.oracle == NOBODY else make_expert(program.env, program.oracle),
         episodes=program.episodes,
         template=template,
         tiers=_tiers(program),

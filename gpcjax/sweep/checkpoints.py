@@ -45,11 +45,16 @@ def is_checkpoint(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
+SNAPSHOTS = 2
+"""The format of what is in a checkpoint, `gpcjax.engine.snapshots.FORMAT`: those of another one go without a word."""
+
+
 def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
     """What runs must agree in to go on from a checkpoint, beside their cells."""
     return {
         "versions": dict(versions),
         "machine": machine,
+        "snapshots": SNAPSHOTS,
         "keeping": None if keeping is None else dataclasses.asdict(keeping),
     }
 

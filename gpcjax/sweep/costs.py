@@ -18,9 +18,9 @@ _EPISODE = {
     ("mountaincar", "gpc-ns"): 2.5e-3,
     ("mountaincar", "coach"): 1.2e-4,
 }
-"""Seconds of an episode, with an expert whose target costs no more than a step: the mean of a task is that of its
-experiment in docs/reproduction, the ratios of its learners are those of `benchmarks/README.md`. The mountain car's are
-those of its grids (sweeps/grid_mountaincar_*.toml)."""
+"""Seconds of an episode, with an expert whose target costs no more than a step: of sweeps of some hundred runs, with
+the usual settings (`python -m benchmarks.progress`), on a machine that needs 1.3 s of a core to start a worker. The
+lander's are those of its experiment in docs/reproduction."""
 
 _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of

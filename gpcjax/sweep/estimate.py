@@ -49,7 +49,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     """
     if all(work.finished >= work.cells and not work.workers for work in works):
         return 0.0
-    seen = [work for work in works if is_seen(work)]
+    seen = [work for work in works if is_seen(work) and not work.before]
     usual = sum(_usual(work) * work.done for work in seen)
     speed = sum(work.seconds for work in seen) / usual if usual else _guessed(works)
     bound, free, to_compile = {}, {}, {}
@@ -65,6 +65,20 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     ready = max((work.ready_in for work in works), default=0.0)
     ends = [(max(when, ready), index) for when, index in ends]
     return _last_end(works, ends, free, to_compile, jobs)
+
+
+def compiling_left(works: Sequence[Work], jobs: int) -> float:
+    """Estimated seconds in which workers still compile, of those that are left: each has one program at a time."""
+    compiling = _compiling(works)
+    left = [
+        max(
+            _to_compile(work, compiling) - work.compile_seconds / max(work.joined, 1) - work.compiling_for,
+            0.0,
+        )
+        for work in works
+        if work.finished < work.cells and work.done < 0.9
+    ]
+    return max([0.0, *left, sum(left) / jobs])
 
 
 def _first_ends(works: Sequence[Work], compiling: float, bound: Mapping[int, float]) -> list[End]:
@@ -125,7 +139,7 @@ def overdue(expected: float, elapsed: float) -> float:
 
 def _guessed(works: Sequence[Work]) -> float:
     """How much longer than in `costs` all takes, as long as nothing of it has been seen here."""
-    return max(work.slowness * work.machine for work in works)
+    return max((work.slowness * work.machine for work in works), default=1.0)
 
 
 def _usual(work: Work) -> float:
@@ -157,7 +171,7 @@ def _left(work: Work, speed: float) -> Left:
         return by_pace
     # An expectation that has been wrong so far is not to be trusted either.
     odd = abs(math.log(work.seconds / (whole * work.done)))
-    unlike = abs(math.log(max(work.before.cells, 1) * max(work.joined, 1) / work.cells))
+    unlike = abs(math.log(work.before.cells / work.cells))
     expected, measured = KNOWN + UNLIKE * unlike + odd * work.done, MEASURED * (1 - work.done)
     trust = expected**2 / (expected**2 + measured**2)
     both = trust * seconds + (1 - trust) * max(whole - work.seconds, 0.0)

@@ -6,16 +6,18 @@ guesses of time alone; where it cannot be read or written, the guesses are those
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.crowd import USUAL_START
 from gpcjax.sweep.plan import Program
 
 FILE = "seconds.json"
+_MOST_SECONDS = 1e10
+
 MOST = 2000
 """Programs that are remembered: the last ones."""
 
@@ -28,8 +30,8 @@ FROM_TEXT = 0.25
 COMPILED_FROM = 0.8
 """Seconds that a program takes at least if it is compiled, and not found by its text."""
 
-START, USUAL_START = "start", 2.0
-"""The entry for the seconds until workers are there, and how many these are where nobody knows."""
+START = "start"
+"""The entry for the seconds of a core until a worker is there."""
 
 LEAST_DONE = 0.5
 """Of a program's steps, to be remembered: the first episodes of runs are shorter than the later ones, or longer."""
@@ -43,7 +45,9 @@ class Cost(NamedTuple):
     compiling: float
     """Until a worker has its programs; from the cache, where they are once they were compiled."""
     cells: int
-    """Of a worker, that these were seen of."""
+    """That these were seen of."""
+    workers: int
+    """That were at it."""
 
 
 def of(programs: Iterable[Program], folder: Path | None) -> dict[Program, Cost]:
@@ -63,10 +67,10 @@ def learn(costs: Mapping[Program, Cost], folder: Path | None, started: float | N
         return
     entries = _read(folder)
     if started is not None:
-        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0, 1.0]
+        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0, 1, 1]
     for program, cost in costs.items():
         entries.pop(_key(program), None)
-        entries[_key(program)] = [cost.episode, cost.compiling, cost.cells]  # last, as the newest
+        entries[_key(program)] = list(cost)  # last, as the newest
     newest = dict(list(entries.items())[-MOST:])
     with suppress(OSError, ValueError):
         write_atomic(folder / FILE, json.dumps(newest))
@@ -89,8 +93,11 @@ def _read(folder: Path | None) -> dict[str, Any]:
 
 
 def _is_cost(value: object) -> bool:
+    """Whether it may be a `Cost`: none of it is endless, and there are seconds, cells and workers."""
     return (
         isinstance(value, list)
-        and len(value) == 3
-        and all(type(each) in (int, float) and math.isfinite(each) and each >= 0 for each in value)
+        and len(value) == len(Cost._fields)
+        and all(type(each) in (int, float) and 0 <= each < _MOST_SECONDS for each in value)
+        and value[0] > 0
+        and all(type(each) is int and each >= 1 for each in value[2:])
     )

@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
+from gpcjax.sweep.labels import LABELS, labels_of
 from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns, settings_of
 from gpcjax.sweep.plan import Cell, canonical, hash_of, joint_of, plan, varying
 from gpcjax.sweep.points import POINTS, Point, names_of, values_of
-from gpcjax.sweep.seeds import Seeds
+from gpcjax.sweep.seeds import MOST, Seeds
 from gpcjax.sweep.source import Source
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
 
@@ -73,7 +74,7 @@ def grown(manifest: Mapping[str, Any], spec: SweepSpec) -> dict[str, Any]:
     """The manifest of a folder that is asked for `spec` too: one that contradicts nothing, and is not covered.
 
     Raises:
-        UserError: a setting has several values now, and what it was before is no number.
+        UserError: a setting has several values now, and what it was before is no number; or too many seeds.
     """
     specs = [from_dict(each["specification"]) for each in requests(manifest)]
     union = _united([*specs, spec])
@@ -90,6 +91,7 @@ def grown(manifest: Mapping[str, Any], spec: SweepSpec) -> dict[str, Any]:
         "format": GROWN,
         "hash": hash_of(as_dict(union)),
         "specification": as_dict(union),
+        **labels_of(spec, manifest.get(LABELS)),
         "varying": names,
         "asked": asked,
         "cells": manifest["cells"] + new,
@@ -212,10 +214,13 @@ def _united(specs: Sequence[SweepSpec]) -> SweepSpec:
     names = dict.fromkeys(name for spec in specs for name in _settings(spec))
     for name in names:
         _refuse_unknown(name, specs)
+    seeds = functools.reduce(lambda one, other: one | other, (spec.seeds for spec in specs))
+    if len(seeds) > MOST:
+        raise UserError(f"{len(seeds):,} seeds in all: a folder has {MOST:,} at most, give a new one (--out)")
     return dataclasses.replace(
         specs[0],
         **{name: all_of(getattr(spec, name) for spec in specs) for name in LISTS},
-        seeds=functools.reduce(lambda one, other: one | other, (spec.seeds for spec in specs)),
+        seeds=seeds,
         hyperparameters={
             name: all_of(_values(spec, algo, name) for spec in specs for algo in spec.algo) for name in names
         },

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
 
-from gpcjax.sweep.estimate import seconds_left
+from gpcjax.sweep.estimate import compiling_left, seconds_left
 from gpcjax.sweep.telling import State
 from gpcjax.sweep.works import Work
 
@@ -26,6 +26,7 @@ class JsonLines:
     | `env_steps`    | so far                                                                   |
     | `elapsed_s`    | since the beginning                                                      |
     | `left_s`       | estimated                                                                |
+    | `compile_s`    | of these, in which workers compile: the longest of them                  |
     | `compiling`    | whether a worker has been compiling for a while                          |
     """
 
@@ -65,6 +66,7 @@ class JsonLines:
             "env_steps": self._state.steps,
             "elapsed_s": round(self.clock() - self._began, 3),
             "left_s": round(seconds_left(self._state.works, self.jobs), 3),
+            "compile_s": round(compiling_left(self._state.works, self.jobs), 3),
             "compiling": self._state.compiling,
         }
         print(json.dumps(line), file=self.stream or sys.stdout, flush=True)

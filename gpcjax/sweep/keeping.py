@@ -1,6 +1,7 @@
 """What of a run is kept beside its rows, and when: its policy, or all that it learned. Loads no jax."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 from gpcjax.allowed import COUNT, OneOf, converted, shown
@@ -31,6 +32,43 @@ class Keeping:
     def when(self) -> str | int:
         """As a person gives it."""
         return "best" if self.best else self.every or "last"
+
+    @property
+    def flags(self) -> list[str]:
+        """As the words of a command line."""
+        return ["--keep", self.what, *([] if self.when == "last" else ["--keep-at", str(self.when)])]
+
+
+ENTRY = "keeping"
+"""Of a manifest: what of its runs is kept, null for nothing. Those of 0.2 and before have none."""
+
+
+def as_json(keeping: Keeping | None) -> dict[str, Any] | None:
+    """For a manifest."""
+    return None if keeping is None else asdict(keeping)
+
+
+def held_keeping(manifest: Mapping[str, Any]) -> Keeping | None:
+    """What of the runs of a folder is kept, by a manifest that has an `ENTRY`.
+
+    Raises:
+        ValueError: the entry is damaged.
+    """
+    match manifest[ENTRY]:
+        case None:
+            return None
+        case {"what": "policies" | "states" as what, "every": int(every), "best": bool(best)} if every >= 0:
+            return Keeping(what, every, best)
+    raise ValueError(ENTRY)
+
+
+def words_of(keeping: Keeping | None) -> str:
+    """In a sentence."""
+    if keeping is None:
+        return "nothing"
+    when = "best" if keeping.best else "last"
+    every = f"{keeping.every} episodes and the last" if keeping.every > 1 else "episode"
+    return f"{keeping.what} after {f'every {every}' if keeping.every else f'the {when} episode'}"
 
 
 def keeping_of(keep: Any, keep_at: Any, sources: tuple[str, str] = ("keep", "keep_at")) -> Keeping | None:

@@ -1,16 +1,20 @@
 """What run folders are there, and how far each of them is. Loads no jax."""
 
+import contextlib
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.growth import requests
+from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import DAMAGED, EPISODES, MANIFEST, reason
 from gpcjax.sweep.lock import holder
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
@@ -18,7 +22,9 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import Found, names_in, whole_parts
 from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.rows import IDENTITY, cells_of
+from gpcjax.sweep.shards import held_shard
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.spec import from_dict
 
 DEPTH = 3
 """Folders below the given one in which runs are looked for: a reproduction has a folder for each of its sweeps."""
@@ -64,6 +70,7 @@ class RunFolder:
                 for name in ("env", "algo", "oracle", "error", "seeds", "episodes")
             },
             "wall_time_s": self.manifest.get("wall_time_s"),
+            **({ENTRY: self.manifest[ENTRY]} if ENTRY in self.manifest else {}),
         }
 
 
@@ -95,9 +102,42 @@ def look(path: Path) -> RunFolder:
     except UserError as error:
         what = error.what if isinstance(error, DamagedManifest) else str(error)
         return RunFolder(path, STRANGE, what, 0, None, changed, {})
-    state = GOING_ON if writer is not None else COMPLETE if manifest["complete"] else INTERRUPTED
+    for specification in (manifest["specification"], *(each["specification"] for each in requests(manifest))):
+        if odd := _oddity(specification):
+            return RunFolder(path, STRANGE, odd, 0, None, changed, {})
     finished = manifest["cells"] if manifest["complete"] else manifest.get("finished")
+    state = GOING_ON if writer is not None else COMPLETE if manifest["complete"] else INTERRUPTED
+    if finished and not _has_parts(path):
+        writer, finished = writer or "its episodes are gone", 0
+        state = GOING_ON if state == GOING_ON else INTERRUPTED
     return RunFolder(path, state, writer or "", manifest["cells"], finished, changed, manifest)
+
+
+def _oddity(specification: Mapping[str, Any]) -> str:
+    """What of a specification is none that could be told of; nothing of a sound one."""
+    try:
+        from_dict(specification)
+        for name, kind in {"env": str, "algo": str, "oracle": str, "error": int | float}.items():
+            value = specification[name]
+            values = [value] if name == "env" else value
+            if not isinstance(values, list) or not values or not all(isinstance(one, kind) for one in values):
+                raise ValueError(f"{name} {shown(value)}")
+        if not isinstance(specification["episodes"], int):
+            raise ValueError(f"episodes {shown(specification['episodes'])}")
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        return f"its specification is damaged ({reason(error)})"
+    return ""
+
+
+def _has_parts(path: Path) -> bool:
+    """Whether there is any file of episodes, whatever is in it."""
+    try:
+        with os.scandir(path / EPISODES) as entries:
+            return any(entry.name.endswith(".parquet") for entry in entries)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True  # which cannot be known
 
 
 @dataclass(frozen=True)
@@ -122,23 +162,47 @@ def contents(folder: RunFolder) -> Contents:
         for part in whole_parts(folder.path, folder.manifest, found, {EPISODES: keys}):
             stored |= cells_of(part.tables[EPISODES], keys)
             parts += 1
-    files = [path for path in folder.path.rglob("*") if path.is_file()]
+    files = _files(folder.path)
     return Contents(
         finished=len(stored),
         parts=parts,
-        size=sum(path.stat().st_size for path in files),
+        size=sum(files.values()),
         damaged=tuple(f"{path}: {what}" for path, what in found.damaged.items()),
         foreign=tuple(found.foreign),
-        set_aside=sum(path.parts[len(folder.path.parts)].startswith(DAMAGED) for path in files),
+        set_aside=sum(path.parts[0].startswith(DAMAGED) for path in files),
     )
+
+
+def _files(folder: Path) -> dict[Path, int]:
+    """The files below a folder, by their path there, with their sizes; without those that go meanwhile."""
+    found = {}
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            with contextlib.suppress(OSError):
+                about = path.stat()
+                if stat.S_ISREG(about.st_mode):
+                    found[path.relative_to(folder)] = about.st_size
+    return found
 
 
 def commands(manifest: Mapping[str, Any], out: Path) -> list[str]:
     """What was typed, or does the same: a line for each time that something was asked of the folder."""
-    return [_command(each["specification"], out) for each in requests(manifest)]
+    kept = held_keeping(manifest) if ENTRY in manifest else None
+    running, note = [] if kept is None else kept.flags, ""
+    shard = held_shard(manifest)
+    if shard is not None:
+        running += ["--shard", str(shard)]
+        where = shard.folder(Path()).parts
+        if out.parts[-len(where) :] == where:
+            out = out.parents[len(where) - 1]
+        else:
+            note = f"where this folder is {'/'.join(where)} of that one"
+    running += ["--out", str(out)]
+    return [_command(each["specification"], running, note) for each in requests(manifest)]
 
 
-def _command(specification: Mapping[str, Any], out: Path) -> str:
+def _command(specification: Mapping[str, Any], running: Sequence[str], note: str) -> str:
     words = ["gpcjax", "sweep"]
     for name, value in {**specification, **specification.get("hyperparameters", {})}.items():
         option = OPTIONS.get(name)
@@ -151,8 +215,9 @@ def _command(specification: Mapping[str, Any], out: Path) -> str:
         elif name == "env" or _written(value) != _written(_usual(name, specification["env"])):
             words += [option.flag, _written(value)]
     joint = specification.get(POINTS)
-    beside = f"  # with its {len(joint)} [[points]] in a file of settings" if joint else ""
-    return shlex.join([*words, "--out", str(out)]) + beside
+    points = f"with its {len(joint)} [[points]] in a file of settings" if joint else ""
+    notes = ", ".join(filter(None, (points, note)))
+    return shlex.join([*words, *running]) + (f"  # {notes}" if notes else "")
 
 
 def _usual(name: str, env: str) -> Any:

@@ -1,13 +1,14 @@
 """The manifest of a run folder: what the sweep is; where, with what and how far it ran. Loads no jax."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from gpcjax.errors import UserError
 from gpcjax.sweep import points
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import FORMAT, GIVE, GROWN, MANIFEST, UNSEALED, reason, sha256
 from gpcjax.sweep.plan import hash_of
 
@@ -27,6 +28,9 @@ _FIELDS: dict[str, type | tuple[type, ...]] = {
     "complete": bool,
 }
 """What every manifest has beside its format."""
+
+_LARGEST_NUMBER = 1e18
+"""Bound on all its numbers: none is negative, infinite or no number."""
 
 
 class DamagedManifest(UserError):
@@ -82,9 +86,13 @@ def read_manifest(out: Path) -> dict[str, Any]:
     except RecursionError:
         raise DamagedManifest(path, "it is too deep") from None
     for name, kind in _FIELDS.items():
-        if not isinstance(manifest.get(name), kind):
+        value = manifest.get(name)
+        if not isinstance(value, kind) or not (kind in (str, dict, list, bool) or _is_number(value)):
             what = f"its {name} is damaged" if name in manifest else f"it has no {name}"
             raise DamagedManifest(path, what)
+    for name, is_sound in _LATER.items():
+        if name in manifest and not is_sound(manifest[name]):
+            raise DamagedManifest(path, f"its {name} is damaged")
     if (version == GROWN) != isinstance(manifest.get("asked"), list):
         raise DamagedManifest(path, "what it was asked for is damaged")
     try:
@@ -122,6 +130,40 @@ def _varying(specification: Mapping[str, Any]) -> list[str]:
     axes = {name: specification.get(name) for name in ("delta", "rate")}
     axes |= points.given(specification)
     return sorted(name for name, values in axes.items() if isinstance(values, list) and len(values) > 1)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number as a sweep writes them."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < _LARGEST_NUMBER
+
+
+def _are_requests(value: object) -> bool:
+    """Whether this is what a folder was asked for, as `gpcjax.sweep.growth.requests` gives it."""
+    return isinstance(value, list) and all(map(_is_request, value))
+
+
+def _is_request(value: object) -> bool:
+    match value:
+        case {"hash": str(), "specification": dict(), "filled": dict(filled)}:
+            return all(isinstance(by_learner, dict) for by_learner in filled.values())
+    return False
+
+
+def _is_keeping(value: object) -> bool:
+    try:
+        held_keeping({ENTRY: value})
+    except ValueError:
+        return False
+    return True
+
+
+_LATER: dict[str, Callable[[object], bool]] = {
+    "finished": _is_number,
+    "further_machines": lambda value: isinstance(value, list) and all(isinstance(one, dict) for one in value),
+    "asked": _are_requests,
+    ENTRY: _is_keeping,
+}
+"""What a manifest may have, and how it must be then."""
 
 
 def _is_baseline(numbers: object) -> bool:

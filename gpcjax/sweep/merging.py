@@ -2,7 +2,7 @@
 
 A shard's parts say that they are rows of the whole specification, and are what a plain sweep would have written: they
 are checked and copied as they are. The manifest comes last, so that an interrupted merge leaves nothing that looks
-whole, and the same command does it again.
+whole, and the same command does it again, whatever part of it was copied.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,6 +13,7 @@ from typing import Any
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.growth import hashes, requests
+from gpcjax.sweep.keeping import ENTRY, held_keeping, words_of
 from gpcjax.sweep.layout import BESIDE, EPISODES, MANIFEST, SHARDS, tell
 from gpcjax.sweep.lock import held, holder
 from gpcjax.sweep.machine import kind_of
@@ -20,9 +21,12 @@ from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import IDENTITY, cells_of, key_of
-from gpcjax.sweep.runfolder import check_sweep, make_writable
+from gpcjax.sweep.runfolder import check_sweep, clean_parts, make_writable
 from gpcjax.sweep.shards import Shard, held_shard
 from gpcjax.sweep.spec import from_dict
+
+UNKNOWN = "unknown"
+"""What is kept of the runs of a folder whose manifest does not say."""
 
 Keys = set[tuple[Any, ...]]
 """What tells cells apart."""
@@ -70,9 +74,10 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
     _refuse_gaps(shares, wanted)
     before = _before(out, first)
     if before is None:
-        check_sweep(out, specs[0])
+        check_sweep(out, specs[0], copied=hashes(first))
     make_writable(out)
     with held(out):
+        clean_parts(out)
         stored = _keys(out, first, Found()) if before is not None else {}
         there = set().union(*stored.values())
         for share in shares:
@@ -130,10 +135,16 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
     first = shares[0]
     for share in shares[1:]:
         if sorted(hashes(share.manifest)) != sorted(hashes(first.manifest)):
-            raise UserError(f"{share.folder}: it is a shard of another sweep than {first.folder}")
+            raise UserError(_other_requests(first, share))
         if share.shard.of != first.shard.of:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, {first.folder} is {first.shard}: give shards of one number"
+            )
+        kept, its = (each.manifest.get(ENTRY, UNKNOWN) for each in (first, share))
+        if UNKNOWN not in (kept, its) and kept != its:
+            kept, its = (words_of(held_keeping(each.manifest)) for each in (first, share))
+            raise UserError(
+                f"{share.folder}: of its runs it keeps {its}, {first.folder} {kept}: run one again into a new folder"
             )
         for name, version in first.manifest["versions"].items():
             other = share.manifest["versions"].get(name)
@@ -156,6 +167,29 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             f"shards {', '.join(missing[:10])}{more} of {first.shard.of} are missing: run them, or give their folders"
         )
     return shares
+
+
+def _other_requests(first: _Share, share: _Share) -> str:
+    """Why two shards are not of one sweep, as far as it can be mended."""
+    mine, its = (hashes(each.manifest).keys() for each in (first, share))
+    less, more = (share, first) if len(its) < len(mine) else (first, share)
+    if not mine & its:
+        return f"{share.folder}: it is a shard of another sweep than {first.folder}"
+    if hashes(less.manifest).keys() < hashes(more.manifest).keys() and _begins_alike(less, more):
+        return (
+            f"{less.folder}: it was asked for less than {more.folder}: give it the later commands that `gpcjax show` "
+            "tells of that one, too"
+        )
+    return (
+        f"{less.folder}: it was not asked for the same things as {more.folder}, one after the other: run it again into "
+        "a new folder with the commands that `gpcjax show` tells of that one, in their order"
+    )
+
+
+def _begins_alike(less: _Share, more: _Share) -> bool:
+    """Whether a shard was asked for the same things as another, but not for all of them yet."""
+    asked = [[each["hash"] for each in requests(share.manifest)] for share in (less, more)]
+    return asked[0] == asked[1][: len(asked[0])]
 
 
 def _refuse_gaps(shares: Iterable[_Share], wanted: Keys) -> None:
@@ -208,6 +242,8 @@ def _merged(shares: Sequence[_Share], before: Mapping[str, Any] | None, cells: i
     merged = {
         name: value for name, value in manifests[0].items() if name not in ("shard", "further_machines")
     }
+    if not all(ENTRY in one for one in every):
+        merged.pop(ENTRY, None)
     merged |= {
         "baselines": _baselines(every),
         "machine": first,

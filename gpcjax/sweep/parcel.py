@@ -15,7 +15,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
+from gpcjax.registry import Kind, found
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.plan import Cell
@@ -55,12 +57,32 @@ def parcel_of(cells: Iterable[Cell]) -> Parcel:
     """
     cells = list(cells)
     names = dict.fromkeys(name for cell in cells for name in (cell.env, cell.algo, cell.teacher, cell.oracle))
+    names |= dict.fromkeys(name for cell in cells for name in _told_by(cell))
     paths = [path for name in names if (path := _path_in(name)) is not None]
     paths += dict.fromkeys(cell.start.folder for cell in cells if cell.start is not None)
     below = {path: f"{FILES}/{number}" for number, path in enumerate(dict.fromkeys(paths))}
     contents = [(Path(os.path.expanduser(path)), name) for path, name in below.items()]
     contents += [(path, f"{CODE}/{path.name}") for path in _modules(names)]
     return Parcel(pack(contents), below)
+
+
+def _told_by(cell: Cell) -> Iterator[str]:
+    """What the descriptions of a person's own name in their turn: what makes each thing, and the expert."""
+    asked: tuple[tuple[Kind, str], ...] = (
+        ("task", cell.env),
+        ("learner", cell.algo),
+        ("teacher", cell.teacher),
+    )
+    for kind, name in asked:
+        spec = found(kind, name)
+        if module := getattr(getattr(spec, "make", None), "module", ""):
+            yield f"{module}:"
+        if isinstance(spec, TaskSpec):
+            match spec.experts.get(cell.oracle):
+                case str() as text:
+                    yield text
+                case entry if callable(entry):
+                    yield f"{entry.__module__}:"
 
 
 def pack(contents: Iterable[tuple[Path, str]]) -> bytes:

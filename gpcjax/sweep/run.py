@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.allowed import checked, checked_path
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
-from gpcjax.sweep.growth import covering, grown
-from gpcjax.sweep.keepable import check_keeping
-from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.fitting import left_out
+from gpcjax.sweep.growth import covering, grown, requests
+from gpcjax.sweep.keepable import check_keeping, check_kept, refuse_other
+from gpcjax.sweep.keeping import ENTRY, Keeping, as_json, keeping_of
+from gpcjax.sweep.labels import labels_of
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
@@ -30,6 +33,7 @@ from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
+from gpcjax.sweep.siblings import asked_before
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
@@ -91,8 +95,11 @@ def sweep(
     folder = folder if share is None else share.folder(folder)
     check_sweep(folder, spec)
     check_shard(folder, share, count(spec))
+    check_kept(folder, keeping, spec)
     _check_start(spec)
     make_writable(folder)
+    for line in left_out(spec.env) if "algo" not in settings else ():
+        tell(line)
     run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
@@ -139,15 +146,25 @@ def run(
         check_sweep(out, spec, grows)  # again: somebody may have been faster
         cells = plan(spec)
         check_shard(out, shard, len(cells))
-        manifest, request = _asked(_manifest(spec, out, len(cells)), spec, out, shard, say)
+        check_kept(out, keeping, spec)
+        begun = (out / MANIFEST).exists()
+        manifest, request = _asked(_manifest(spec, out, keeping, shard), spec, out, shard, say)
         if shard is not None:
             share = set(share_of(manifest, shard))
+            if not begun:  # what the other shards were asked for before is asked for, too
+                asked = [from_dict(each["specification"]) for each in requests(manifest)]
+                cells = [*dict.fromkeys(cell for each in asked for cell in plan(each))]
             cells = [cell for cell in cells if cell in share]
             manifest |= {"shard": shard.as_json(), "cells": len(share)}
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
+        if keeping is not None and ENTRY not in manifest and store.cells:
+            say(
+                f"{out}: its manifest does not say what of its runs is kept: those that are there stay as they are"
+            )
         if missing or not manifest["complete"]:
+            refuse_other(out, manifest, keeping)
             _refuse_other_versions(out, manifest)
             _note_machine(out, manifest, here)
             agree = told(manifest["versions"], machine.kind_of(here), keeping)
@@ -163,6 +180,7 @@ def run(
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
+        remove_all(out)  # of a run that was killed when all was there
         return False
 
 
@@ -184,9 +202,8 @@ def _asked(
     return larger, specification_hash(spec)
 
 
-def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
+def _manifest(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard | None) -> dict[str, Any]:
     """The manifest of `out`; a new one where there is none, or none that is whole."""
-    names = varying(spec)
     try:
         if (out / MANIFEST).exists():
             return read_manifest(out)
@@ -194,7 +211,7 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
     except DamagedManifest:
         set_aside(out, out / MANIFEST)
         what = f"was damaged and lies in {out / DAMAGED} now"
-    manifest = new_manifest(spec, names, cells)
+    manifest = new_manifest(spec, varying(spec), count(spec))
     if own_parts(out, manifest["hash"]):
         # Its parts may be all that there is to compute, and of other versions or another machine than these.
         manifest, origins = _recovered(manifest, origins_of(out))
@@ -203,7 +220,14 @@ def _manifest(spec: SweepSpec, out: Path, cells: int) -> dict[str, Any]:
         if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
-    return manifest
+        return manifest
+    first, *further = [*([] if shard is None else asked_before(out, shard, spec)), spec]
+    manifest = new_manifest(first, varying(first), count(first))
+    for each in further:
+        manifest = grown(manifest, each)
+    if further:
+        tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
+    return manifest | {ENTRY: as_json(keeping)}
 
 
 def _recovered(manifest: dict[str, Any], origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
@@ -290,7 +314,7 @@ class _Sweep:
         known = self._manifest["baselines"]
         names = [
             *(["idle"] if known["idle"] is None else []),
-            *(n for n in self._spec.oracle if n not in known["oracles"]),
+            *(n for n in self._spec.oracle if n not in known["oracles"] and n != NOBODY),
         ]
         return [(self._spec.env, name) for name in names]
 
@@ -340,6 +364,7 @@ def new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any
         "format": FORMAT,
         "hash": specification_hash(spec),
         "specification": as_dict(spec),
+        **labels_of(spec),
         "varying": names,
         "cells": cells,
         "baselines": {"idle": None, "oracles": {}},

@@ -4,12 +4,12 @@ import itertools
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from pathlib import Path
 
 from gpcjax.errors import UserError
 from gpcjax.sweep import growth
-from gpcjax.sweep.atomic import target_of
+from gpcjax.sweep.atomic import clean, target_of
 from gpcjax.sweep.layout import (
     BESIDE,
     DAMAGED,
@@ -40,13 +40,14 @@ def check_report(out: Path) -> None:
         raise UserError(f"{out}: it holds no episodes yet, {GIVE}")
 
 
-def check_sweep(out: Path, spec: SweepSpec, grows: bool = True) -> None:
+def check_sweep(out: Path, spec: SweepSpec, grows: bool = True, copied: Iterable[str] = ()) -> None:
     """Refuse a folder that is something else, or another sweep's. Writes nothing.
 
     Where it `grows`, it may hold a sweep that this one can be added to.
 
     Without a manifest, or with a damaged one, a folder is this sweep's if it holds a part that says so; what is found
-    there beside our own parts is nobody's business then. Otherwise it must be empty.
+    there beside our own parts is nobody's business then. Otherwise it must be empty, but for what an interrupted merge
+    has left: files of parts of this sweep, and of the specifications with the hashes `copied`.
 
     Raises:
         UserError: `out` is a file, another specification's, or holds what no sweep has put there.
@@ -64,7 +65,7 @@ def check_sweep(out: Path, spec: SweepSpec, grows: bool = True) -> None:
         if MANIFEST in names:
             _check_manifest(out, spec, hash_, grows)
         elif not own_parts(out, hash_):
-            _check_empty(out, names)
+            _check_empty(out, names, {hash_, *copied})
     except OSError as error:
         raise UserError(f"{out}: cannot be read ({reason(error)}), {GIVE_NEW}") from None
 
@@ -86,13 +87,14 @@ def _check_manifest(out: Path, spec: SweepSpec, hash_: str, grows: bool) -> None
     growth.check(out, manifest, spec)
 
 
-def _check_empty(out: Path, names: Iterable[str]) -> None:
+def _check_empty(out: Path, names: Iterable[str], copied: Container[str]) -> None:
     """Nothing but what a sweep leaves that was killed before it wrote its manifest, and shards, which are not in it."""
     for name in sorted(names):
         if name in (LOCK, SHARDS) or target_of(name) == MANIFEST:
             continue
         parts = name in (EPISODES, *BESIDE)
         inside = sorted(path.name for path in (out / name).iterdir()) if parts else [""]
+        inside = [each for each in inside if (part := parse_part(each)) is None or part.hash not in copied]
         if any(map(parse_part, inside)):
             raise UserError(f"{out}: it holds rows of another sweep and no manifest, {GIVE_NEW}")
         for each in inside:
@@ -105,6 +107,13 @@ def own_parts(out: Path, hash_: str) -> list[str]:
     folder = out / EPISODES
     names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
     return sorted(name for name in names if (part := parse_part(name)) and part.hash == hash_)
+
+
+def clean_parts(out: Path) -> None:
+    """Remove temporary files that a kill has left: nobody but the writer of this folder makes them."""
+    clean(out, lambda target: target == MANIFEST)
+    for folder in (EPISODES, *BESIDE):
+        clean(out / folder, lambda target: parse_part(target) is not None)
 
 
 def make_writable(out: Path) -> None:

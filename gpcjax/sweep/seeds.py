@@ -56,16 +56,21 @@ class Seeds:
     @classmethod
     def _joined(cls, spans: Iterable[tuple[int, int]]) -> "Seeds | None":
         """None where one is the wrong way round or out of bounds, or there are too many seeds."""
+        ordered = sorted(spans)
+        if not all(0 <= first <= last <= LARGEST_SEED for first, last in ordered):
+            return None
+        seeds = cls._united(ordered)
+        return seeds if 0 < len(seeds) <= MOST else None
+
+    @classmethod
+    def _united(cls, ordered: Iterable[tuple[int, int]]) -> "Seeds":
         joined: list[tuple[int, int]] = []
-        for first, last in sorted(spans):
-            if not 0 <= first <= last <= LARGEST_SEED:
-                return None
+        for first, last in ordered:
             if joined and first <= joined[-1][1] + 1:
                 joined[-1] = joined[-1][0], max(joined[-1][1], last)
             else:
                 joined.append((first, last))
-        seeds = cls(tuple(joined))
-        return seeds if 0 < len(seeds) <= MOST else None
+        return cls(tuple(joined))
 
     def __len__(self) -> int:
         return sum(last - first + 1 for first, last in self.spans)
@@ -77,9 +82,8 @@ class Seeds:
         return isinstance(seed, int) and any(first <= seed <= last for first, last in self.spans)
 
     def __or__(self, other: "Seeds") -> "Seeds":
-        """The seeds of both, however many."""
-        joined = Seeds._joined([*self.spans, *other.spans])
-        return joined if joined is not None else self
+        """The seeds of both: more than `MOST`, perhaps, which no sweep has."""
+        return Seeds._united(sorted([*self.spans, *other.spans]))
 
     def __str__(self) -> str:
         return str(self.as_json())

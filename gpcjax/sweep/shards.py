@@ -3,8 +3,8 @@
     OUT/shards/2-of-8/      the run folder of a share; its manifest says which one it is
 
 Which cells a share has depends on what the folder was asked for and on nothing else: no machine, no clock, no measured
-speed. Cells of one program stay together, since each job compiles for itself; the shares cost about the same, by the
-table of `gpcjax.sweep.costs`. What a folder is asked for later is shared out by itself, so that no cell changes hands.
+speed. Cells of one program stay together, since each job compiles for itself; the shares weigh about the same
+(`gpcjax.sweep.weights`). What a folder is asked for later is shared out by itself, so that no cell changes hands.
 """
 
 import re
@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.sweep import costs
+from gpcjax.sweep import weights
 from gpcjax.sweep.growth import requests
-from gpcjax.sweep.layout import SHARDS
+from gpcjax.sweep.layout import MANIFEST, SHARDS
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import Cell, Program, plan, program_of
 from gpcjax.sweep.spec import from_dict
@@ -71,9 +71,9 @@ def check_shard(out: Path, shard: Shard | None, cells: int) -> None:
     """Refuse a folder of another share, or of a whole sweep for a share and the other way round. Writes nothing.
 
     Raises:
-        UserError: it is, or there are fewer cells than shares.
+        UserError: it is, or there are fewer cells than shares; a sweep in shards may grow by fewer.
     """
-    if shard is not None and shard.of > cells:
+    if shard is not None and shard.of > cells and not any(out.parent.glob(f"*-of-{shard.of}/{MANIFEST}")):
         raise UserError(f"shard {shard}: there are {cells:,} cells only, give i/n with n up to that")
     try:
         held = held_shard(read_manifest(out))
@@ -111,7 +111,9 @@ def shares(cells: Iterable[Cell], of: int) -> list[list[Cell]]:
         programs.setdefault(program_of(cell), []).append(cell)
     blocks = [
         _Block(
-            costs.compiling(key.algo), costs.of_episode(key.env, key.algo, key.oracle) * key.episodes, mine
+            weights.of_program(key.algo),
+            weights.of_episode(key.env, key.algo, key.oracle) * key.episodes,
+            mine,
         )
         for key, mine in programs.items()
     ]
@@ -132,7 +134,7 @@ def shares(cells: Iterable[Cell], of: int) -> list[list[Cell]]:
 
 
 class _Block(NamedTuple):
-    """The cells of one program: seconds before the first, seconds of each."""
+    """The cells of one program: what weighs before the first, and what each weighs."""
 
     first: float
     each: float
@@ -140,7 +142,7 @@ class _Block(NamedTuple):
 
 
 def _cut(blocks: Iterable[_Block], of: int, most: float) -> list[list[Cell]] | None:
-    """As few shares as can be that cost so many seconds at most; None if they are more than `of`."""
+    """As few shares as can be that weigh so much at most; None if they are more than `of`."""
     shares: list[list[Cell]] = [[]]
     room = most
     for block in blocks:

@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.describe import Setting
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.lateness import CREDIT, DELAY
 from gpcjax.lateness import check as check_lateness
 from gpcjax.registry import find, resolve
 from gpcjax.sweep import points as joint
-from gpcjax.sweep.fitting import check_advised, check_concerns
+from gpcjax.sweep.fitting import check_advised, check_concerns, learners_for
 from gpcjax.sweep.options import (
     EXPERIMENT,
     OPTIONS,
@@ -50,7 +51,10 @@ class SweepSpec:
     episodes: int
     """Episodes of each run."""
     oracle: tuple[str, ...]
-    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`."""
+    """Experts of `env` whose actions the teacher aims at: names, folders of saved policies, `module:function`.
+
+    `NOBODY` alone where the task has none and the teacher wants none.
+    """
     delta: tuple[float, ...]
     """Distances from the target within which the teacher is silent, in units of the action."""
     rate: tuple[float, ...]
@@ -173,7 +177,8 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
         raise UserError(f"no env: give {OPTIONS['env'].allowed} (--env, or env = in the TOML file)")
     settings = {name: setting.value for name, setting in given.items() if isinstance(setting, Given)}
     task = find("task", settings["env"])
-    algo = settings.get("algo", OPTIONS["algo"].default)
+    asked = given.get("algo")
+    algo = learners_for(task, asked if isinstance(asked, Given) else None)
     learners = [find("learner", name) for name in algo]
     teacher = find("teacher", settings.get("teacher", ORACLE))
     if teacher.live and not live:
@@ -193,8 +198,9 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
     check_concerns(known, algo, learners, teacher)
     value = {name: setting.value for name, setting in known.items() if name in given}
     defaults = {option.name: option.default for option in EXPERIMENT + VARIANTS} | {
+        "algo": algo,
         "episodes": task.episodes,
-        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1],
+        "oracle": (teacher.name,) if teacher.live else tuple(task.experts)[:1] or (NOBODY,),
         "max_capacity": task.max_capacity,
         "rate_schedule": (),
         **dict.fromkeys(SCALES, ()),

@@ -15,14 +15,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from gpcjax.sweep.atomic import clean, write_atomic
+from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.layout import (
     BESIDE,
     DAMAGED,
     EPISODES,
-    MANIFEST,
     Say,
     parse_part,
     part_name,
@@ -32,7 +31,7 @@ from gpcjax.sweep.layout import (
 from gpcjax.sweep.parts import Found, is_ours, names_in, orphans, part_of, whole_parts
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import IDENTITY, CellRows, cells_of, key_of, tables_of
-from gpcjax.sweep.runfolder import set_aside
+from gpcjax.sweep.runfolder import clean_parts, set_aside
 from gpcjax.sweep.sealing import Damage, Origin, sealed
 from gpcjax.sweep.unsealed import may_hold_unsealed
 
@@ -83,7 +82,7 @@ class Store:
         What is damaged is moved to `OUT/damaged`, with a line, and its cells are missing; what an interruption left
         behind is removed. What is not ours stays as it is.
         """
-        self._clean()
+        clean_parts(self._out)
         columns, found = [*IDENTITY, *self._varying], Found()
         stored = self._stored = set[tuple[Any, ...]]()
         for part in whole_parts(self._out, self._manifest, found, {EPISODES: columns}):
@@ -171,12 +170,6 @@ class Store:
         for name in names:
             for folder in (EPISODES, *BESIDE):
                 (self._out / folder / name).unlink(missing_ok=True)
-
-    def _clean(self) -> None:
-        """Temporary files that a kill has left: nobody but the writer of this folder makes them."""
-        clean(self._out, lambda target: target == MANIFEST)
-        for folder in (EPISODES, *BESIDE):
-            clean(self._out / folder, lambda target: parse_part(target) is not None)
 
 
 def _joined(parts: Sequence[Mapping[str, pa.Table]]) -> Mapping[str, pa.Table]:

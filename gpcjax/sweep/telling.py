@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from rich.console import RenderableType
 
-from gpcjax.sweep.estimate import seconds_left
+from gpcjax.sweep.estimate import compiling_left, seconds_left
 from gpcjax.sweep.growing import table
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.works import Work, is_seen
@@ -62,15 +62,19 @@ class Told:
 
     @property
     def first(self) -> str:
-        """The line of the beginning: how long it may take is said where the programs have run here before."""
+        """The line of the beginning: about how long it may take, and how much of that is compiling."""
         line = (
             f"{self.name}: {self.cells} cells in {self.jobs} {'process' if self.jobs == 1 else 'processes'}"
         )
-        if not self.works or not all(work.before for work in self.works):
+        if not self.works:
             return line
-        compiling = max(work.usual_compiling for work in self.works)
-        seconds = _clock_time(seconds_left(self.works, self.jobs))
-        return f"{line}, about {seconds}, of which {_clock_time(compiling)} until all programs are there"
+        return (
+            f"{line}, about {_clock_time(seconds_left(self.works, self.jobs))}{self._compiling(self.works)}"
+        )
+
+    def _compiling(self, works: Sequence[Work]) -> str:
+        seconds = round(compiling_left(works, self.jobs))
+        return f", {_clock_time(seconds)} of it compiling" if seconds else ""
 
     @property
     def line(self) -> str:
@@ -110,11 +114,14 @@ class Told:
 
     @property
     def left(self) -> str:
-        """Time left, once some steps tell how fast this machine is."""
-        works = self.state.works
-        if not any(is_seen(work) for work in works):
+        """Time left: a guess, with what of it is compiling, until some steps tell how fast this machine is."""
+        works = self.state.works or self.works
+        if not works:
             return ""
-        return f"{_clock_time(seconds_left(works, self.jobs))} left"
+        seconds = _clock_time(seconds_left(works, self.jobs))
+        if any(is_seen(work) for work in works):
+            return f"{seconds} left"
+        return f"about {seconds} left{self._compiling(works)}"
 
     def sofar(self, lines: int, encoding: str | None) -> RenderableType | None:
         """The table so far, of so many groups at most; None as long as there is nothing in it."""

@@ -49,7 +49,7 @@ def work(say: Say) -> bool:
     except Exception as error:
         if error is worker.unheard:
             raise
-        say(("theirs", *error.arguments) if isinstance(error, ForeignError) else ("failed", *told(error)))
+        say(last_word(error))
         return False
     return True
 
@@ -118,7 +118,7 @@ class _Worker:
 
     def _progress(self, pool: Pool) -> Totals:
         done, before, counters = self._done, self._before, pool.counters
-        names = ("env_steps", "episodes", "compile_seconds", "compilations")
+        names = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
         paces = zip(pool.paces(), self._paces_before, strict=True)
         return Totals(
             *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names),
@@ -150,13 +150,23 @@ def baseline(env_name: str, name: str) -> dict[str, float]:
     return {"mean": float(returns.mean()), "std": float(returns.std(ddof=1)), "n": BASELINE_STARTS}
 
 
+def last_word(error: Exception) -> Message:
+    """What a worker that ends by an error says of it: whose it is, and which."""
+    match error:
+        case ForeignError():
+            return ("theirs", *error.arguments)
+        case UserError():
+            return ("refused", " ".join(str(error).split()))
+    return ("failed", *told(error))
+
+
 def told(error: Exception) -> tuple[str, str]:
     """An error in one line, and its full text where it is no fault of the machine."""
     text = " ".join(str(error).split())
     line = f"{type(error).__name__}{f': {text[:300]}' if text else ''}"
     if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
         return line + FEWER, ""
-    return line, "" if isinstance(error, OSError | UserError) else "".join(traceback.format_exception(error))
+    return line, "" if isinstance(error, OSError) else "".join(traceback.format_exception(error))
 
 
 @contextmanager

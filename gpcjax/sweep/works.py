@@ -33,8 +33,8 @@ class Work:
     seconds: float = 0.0
     """That workers have spent on it, compilations left out."""
     compile_seconds: float = 0.0
-    compilations: int = 0
-    """Programs that were not kept, for all workers."""
+    kept: int = 0
+    """Programs that were compiled, or found by their text, and are kept now; of all workers."""
     workers: int = 0
     """Workers that are at it now."""
     starting: int = 0
@@ -97,8 +97,8 @@ class Work:
         if find("task", self.env).on_host:
             return self.before.episode
         # Fewer cells leave the block emptier, and longer: the last ones take as long as a full block does.
-        cells = self.cells / max(self.joined, 1)
-        return self.before.episode * _emptiness(cells) / _emptiness(self.before.cells)
+        before, workers = self.before, self.joined or self.before.workers
+        return before.episode * _emptiness(self.cells / workers) / _emptiness(before.cells / before.workers)
 
     @property
     def usual_compiling(self) -> float:
@@ -116,11 +116,11 @@ class Work:
             return None
         share = min(self.processor_seconds / self.heard_seconds, 1.0) if self.heard_seconds > 1.0 else 1.0
         compiling = share * self.compile_seconds / self.joined
-        if self.compilations:  # the next time they are kept
-            anew = self.compile_seconds / self.compilations > COMPILED_FROM
+        if self.kept:
+            anew = share * self.compile_seconds / self.kept > COMPILED_FROM
             compiling *= FROM_CACHE if anew else FROM_TEXT
-        cells = round(self.cells * self.done / self.joined)
-        return Cost(share * self.seconds / self.done_episodes, compiling, cells)
+        cells = max(round(self.cells * self.done), 1)
+        return Cost(share * self.seconds / self.done_episodes, compiling, cells, self.joined)
 
     @property
     def steps_left(self) -> float:

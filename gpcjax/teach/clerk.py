@@ -12,7 +12,7 @@ import signal
 import struct
 import subprocess
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import BufferedReader
 from typing import IO, Any
 
@@ -24,9 +24,13 @@ SLOWER = 10
 TRIES = 2
 """A process that died is begun once more."""
 
+LONGEST, CLOSING = 60.0, 10.0
+"""Seconds that it has for one thing, and for its end: one that hangs is killed, so that a lesson can end."""
+
 _NUMBER = struct.Struct("<Q")
 """What is asked goes as parts, their count first and before each its bytes: so what cannot be read does not hide where
-the next thing begins, and arrays, which are parts of their own, are not copied while Python waits.
+the next thing begins, and arrays, which are parts of their own, are not copied while Python waits. So does the answer,
+a part of which is none.
 """
 
 
@@ -42,7 +46,7 @@ class Clerk:
 
         Raises:
             Exception: what that raised.
-            OSError: its process ends again and again.
+            OSError: its process ends again and again, or hangs.
         """
         arrays: list[pickle.PickleBuffer] = []
         try:
@@ -53,11 +57,13 @@ class Clerk:
             return
         with self._lock:
             for _ in range(TRIES):
-                with contextlib.suppress(EOFError, BrokenPipeError):
+                with _killed_when_late(self._process) as late, contextlib.suppress(EOFError, BrokenPipeError):
                     answer = self._asked(told)
                     break
                 self.close()
                 self._process = self._begun()
+                if late.is_set():
+                    raise OSError(f"the process that writes policies and rows took over {LONGEST:g} s")
             else:
                 raise OSError("the process that writes policies and rows ended")
         read, failed = answer
@@ -67,11 +73,15 @@ class Clerk:
             raise failed
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends it, by force if it does not end by itself."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
-        self._process.wait()
+        try:
+            self._process.wait(CLOSING)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
         self._process.stdout.close()
 
     def _asked(self, told: Sequence[memoryview]) -> tuple[bool, Exception | None]:
@@ -82,7 +92,7 @@ class Clerk:
             self._process.stdin.write(_NUMBER.pack(part.nbytes))
             self._process.stdin.write(part)
         self._process.stdin.flush()
-        return pickle.load(self._process.stdout)
+        return pickle.loads(_read(self._process.stdout, _number(self._process.stdout)))
 
     @staticmethod
     def _begun() -> subprocess.Popen[bytes]:
@@ -92,6 +102,24 @@ class Clerk:
             stdout=subprocess.PIPE,
             env={**worker_environment(), **computing_environment("cpu")},
         )
+
+
+@contextlib.contextmanager
+def _killed_when_late(process: subprocess.Popen[bytes]) -> Iterator[threading.Event]:
+    """Kills a process that has not done something in time, and says so."""
+    late = threading.Event()
+
+    def kill() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(LONGEST, kill)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield late
+    finally:
+        timer.cancel()
 
 
 def main() -> None:
@@ -128,7 +156,8 @@ def _answer(told: Sequence[bytearray], answers: IO[bytes]) -> None:
         read = False
     else:
         failed = _failure(kept)
-    answers.write(pickle.dumps((read, failed)))
+    answer = pickle.dumps((read, failed))
+    answers.write(_NUMBER.pack(len(answer)) + answer)
     answers.flush()
 
 

@@ -8,6 +8,7 @@ from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
+from gpcjax.sweep.fitting import lacking
 from gpcjax.teach.chart import chart
 from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import SAVES
@@ -207,8 +208,7 @@ class Teller:
     def learners(self) -> list[str]:
         """Who can be chosen to learn."""
         names = [*built_in("learner"), self._taught.course.algo]
-        fits = [name for name in names if name != "coach" or "coach" in self.task.presets]
-        return list(dict.fromkeys(fits))
+        return list(dict.fromkeys(name for name in names if not lacking(find("learner", name), self.task)))
 
     def _saves(self) -> list[str]:
         folder = self._taught.folder / SAVES

@@ -16,7 +16,7 @@ from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import compare_figure, style
 from gpcjax.report.figures.style import Drawing
 from gpcjax.report.run import draw
-from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.atomic import clean, write_atomic
 from gpcjax.sweep.environment import compute_here
 from gpcjax.sweep.executors import Executor, Processes
 from gpcjax.sweep.jsonlines import JsonLines
@@ -27,7 +27,7 @@ from gpcjax.sweep.spec import SweepSpec
 from gpcjax.sweep.telling import Watcher
 from gpcjax.tune import page, toml
 from gpcjax.tune.best import with_point
-from gpcjax.tune.check import CHECK, checked_on, differing, of_objectives
+from gpcjax.tune.check import CHECK, checked_on, differing, is_all, of_objectives
 from gpcjax.tune.command import STATE, Wishes, grid_spec
 from gpcjax.tune.figure import drawn
 from gpcjax.tune.found import Found, found_in
@@ -74,6 +74,8 @@ class Result(NamedTuple):
 
 def carry_out(wishes: Wishes) -> int:
     """Searches, judges on other seeds, draws, and tells of it; gives the exit status."""
+    if wishes.method == "mll":  # which computes in this process
+        compute_here()
     result = carried_out(wishes)
     _tell(wishes, result)
     return 0
@@ -83,6 +85,7 @@ def carried_out(wishes: Wishes) -> Result:
     """Searches, judges on other seeds, draws; what was done in the folder is not done again."""
     out = wishes.out
     with held(out), Processes(wishes.jobs) as executor:
+        clean(out, lambda target: target == STATE)
         write_atomic(out / STATE, json.dumps(wishes.told, indent=2) + "\n")
         outcome = _METHODS[wishes.method](wishes, executor)
         best = dataclasses.replace(outcome.tuned, seeds=wishes.check)
@@ -91,9 +94,9 @@ def carried_out(wishes: Wishes) -> Result:
         comparison = checked_on(outcome.usual, outcome.tuned, wishes.check, out, executor, _watcher(wishes))
         said = page.verdict(comparison, wishes.check.words)
         if comparison is not None and wishes.method != "mll":
-            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], out)
+            said += of_objectives([OBJECTIVES[name] for name in wishes.objectives], comparison)
         commands = [shlex.join(["gpcjax", "sweep", str(out / page.BEST)])]
-        if comparison is not None:
+        if comparison is not None and is_all(comparison):
             folders = [str(out / CHECK / each.name) for each in comparison.folders]
             by = ",".join(differing(outcome.usual, outcome.tuned))
             commands.append(shlex.join(["gpcjax", "compare", *folders, "--by", by]))
@@ -234,8 +237,6 @@ def _beside(found: Found) -> str:
 
 def _by_likelihood(wishes: Wishes, executor: Executor) -> Outcome:
     assert wishes.runs is not None
-    if "jax" not in sys.modules:
-        compute_here()
     from gpcjax.tune.likelihood import by_likelihood  # which loads jax
 
     fitted = by_likelihood(wishes.runs, wishes.out, where=wishes.which, take=wishes.take, seeds=wishes.check)

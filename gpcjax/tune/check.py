@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from gpcjax.report import words
-from gpcjax.report.compare import Comparison, compare
-from gpcjax.report.groups import gather
-from gpcjax.report.statistics import Scores, paired_difference
+from gpcjax.report.compare import Comparison, compared, folder_names
+from gpcjax.report.compare_match import opened
+from gpcjax.report.statistics import paired_difference
 from gpcjax.sweep.executors import Executor
-from gpcjax.sweep.reading import read
+from gpcjax.sweep.layout import tell
+from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.run import run
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec
@@ -35,18 +36,28 @@ def checked_on(
 ) -> Comparison | None:
     """Both specifications on these seeds, compared run by run; None where both are the same.
 
-    Rows go to `OUT/check/usual` and `OUT/check/tuned`, the comparison beside them.
+    Rows go to `OUT/check/usual` and `OUT/check/tuned`, the comparison beside them. What an earlier check has left
+    there, of another best or other seeds, stays, and has no part in the comparison.
     """
     if usual == tuned:
         return None
-    folders = {TUNED: tuned, USUAL: usual}
-    for name, spec in folders.items():
-        folder = out / CHECK / name
+    specs = {
+        out / CHECK / name: dataclasses.replace(spec, seeds=seeds)
+        for name, spec in ((TUNED, tuned), (USUAL, usual))
+    }
+    for folder, spec in specs.items():
         folder.mkdir(parents=True, exist_ok=True)
-        run(dataclasses.replace(spec, seeds=seeds), folder, executor.jobs, executor, watcher=watcher)
-    comparison = compare(*(out / CHECK / name for name in folders), by=differing(usual, tuned))
+        run(spec, folder, executor.jobs, executor, watcher=watcher)
+    names = folder_names([*specs])
+    read = [opened(path, name, tell, spec) for (path, spec), name in zip(specs.items(), names, strict=True)]
+    comparison = compared(read, differing(usual, tuned))
     comparison.save(out / CHECK)
     return comparison
+
+
+def is_all(comparison: Comparison) -> bool:
+    """Whether the folders hold what was compared and no more, so that `gpcjax compare` says the same of them."""
+    return all(read_manifest(folder.path)["hash"] == folder.hash for folder in comparison.folders)
 
 
 def differing(usual: SweepSpec, tuned: SweepSpec) -> list[str]:
@@ -61,29 +72,19 @@ def _settings(spec: SweepSpec) -> dict[str, Any]:
     return {**fields, **given}
 
 
-def of_objectives(objectives: Sequence[Objective], out: Path) -> list[str]:
-    """A sentence for each objective that is none of a comparison's own statistics, of the folders of `checked_on`.
-
-    Raises:
-        UserError: a folder cannot be read.
-    """
+def of_objectives(objectives: Sequence[Objective], comparison: Comparison) -> list[str]:
+    """A sentence for each objective that is none of a comparison's own statistics, of the runs of `checked_on`."""
     told = []
+    studies = [folder.study for folder in comparison.folders]
     for objective in objectives:
         if objective.name in STATISTICS:
             continue
-        scores = {name: _scores(out / CHECK / name, objective) for name in (TUNED, USUAL)}
-        tuned, usual = (objective.of(each) for each in scores.values())
+        each = [run_scores(study.groups, study, objective) for study in studies]
+        tuned, usual = map(objective.of, each)
         places = words.places([tuned, usual])
         numbers = f"{words.number(tuned, places)} tuned, {words.number(usual, places)} usual"
-        if all(np.isfinite(each.values).all() for each in scores.values()):
-            difference, _ = paired_difference(scores[TUNED], scores[USUAL])
+        if all(np.isfinite(scores.values).all() for scores in each):
+            difference, _ = paired_difference(*each)
             numbers += f"; tuned minus usual {words.interval(difference, places)}"
         told.append(f"{objective.name.replace('_', ' ')} on the same seeds: {numbers}")
     return told
-
-
-def _scores(folder: Path, objective: Objective) -> Scores:
-    """Of the one point of a folder, for each seed."""
-    rows = read(folder, lambda line: None)
-    study = gather(rows.episodes, rows.manifest)
-    return run_scores(study.groups, study, objective)

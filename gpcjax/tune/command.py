@@ -11,8 +11,11 @@ from typing import Any, NamedTuple
 
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.installed import require_set_up
 from gpcjax.registry import find
+from gpcjax.sweep.atomic import target_of
 from gpcjax.sweep.layout import GIVE_NEW
+from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.options import conditions
 from gpcjax.sweep.plan import count, hash_of
@@ -29,7 +32,7 @@ from gpcjax.sweep.spec import (
 )
 from gpcjax.sweep.tomlfile import read_table
 from gpcjax.tune import halving, space
-from gpcjax.tune.flags import FLAGS, TABLE, TAKEN, own_values
+from gpcjax.tune.flags import FLAGS, NOT_TAKEN, TABLE, TAKEN, own_values
 from gpcjax.tune.halving import Rung
 from gpcjax.tune.names import names_of
 from gpcjax.tune.space import Space
@@ -138,6 +141,7 @@ def checked(
     wishes = _wishes(own, look, given, which, cores, as_json)
     _refuse_another(wishes)
     if wishes.method == "tpe" and importlib.util.find_spec("optuna") is None:
+        require_set_up()
         raise UserError(f"{own['method'].source} tpe needs Optuna: pip install 'gpcjax[tune]'")
     return wishes
 
@@ -156,7 +160,7 @@ def _wishes(
         value["method"],
         f"with {own['method'].source} {own['method'].value}",
     )
-    for name in ("rate_from", "keep", "keep_at"):
+    for name in NOT_TAKEN:
         if name in given:
             raise UserError(f"{given[name].source}: a search has none, leave it out")
     if method == "mll":
@@ -245,18 +249,21 @@ def _base_of_runs(given: Mapping[str, Given | Unchecked], runs: Given, with_meth
 
 
 def _refuse_another(wishes: Wishes) -> None:
-    """Refuse a folder that is another search's, or something else."""
+    """Refuse a folder that is another search's, or something else than what a kill leaves that has just begun one."""
     path = wishes.out / STATE
     try:
         held = json.loads(path.read_text())
     except FileNotFoundError:
-        if wishes.out.is_dir() and any(wishes.out.iterdir()):
+        names = [path.name for path in wishes.out.iterdir()] if wishes.out.is_dir() else []
+        if any(name != LOCK and target_of(name) != STATE for name in names):
             raise UserError(
                 f"{wishes.out}: this is no folder of a search, and it is not empty, {GIVE_NEW}"
             ) from None
         return
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read ({error}), {GIVE_NEW}") from None
+    if not isinstance(held, dict):
+        raise UserError(f"{path}: this is not what a search has written, {GIVE_NEW}")
     other = [name for name, value in wishes.told.items() if held.get(name) != json.loads(json.dumps(value))]
     if other:
         raise UserError(

@@ -16,6 +16,9 @@ METHODS = ("tpe", "grid", "mll")
 TAKEN = ("length_scale", "variance", "noise")
 """What may be taken from a fit of marginal likelihood; all of it is fitted in any case."""
 
+NOT_TAKEN = ("rate_from", "keep", "keep_at", "checkpoint", "engine", "address", "shard")
+"""Settings of a sweep that a search has none of: its sweeps are its own, in processes of this machine."""
+
 TABLE = "tune"
 """The table of a TOML file with the flags of this command."""
 

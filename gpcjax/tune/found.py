@@ -1,8 +1,9 @@
 """What a search has found: every point with its scores, the best one, those tied with it, the Pareto front."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,10 @@ import pandas as pd
 from gpcjax.errors import UserError
 from gpcjax.report.groups import gather
 from gpcjax.report.statistics import Scores, best_and_tied
+from gpcjax.sweep.points import given as points_given
 from gpcjax.sweep.reading import read
+from gpcjax.sweep.requested import chosen_of
+from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune.objectives import Objective, by_point, point_scores, run_scores
 from gpcjax.tune.ranking import front, ranked
 from gpcjax.tune.space import Space, at_edge
@@ -65,21 +69,22 @@ class Found:
         )
 
 
-def found_in(folder: Path, algo: str, space: Space, objectives: Sequence[Objective]) -> Found:
-    """What the rows of a run folder say of one of its learners.
+def found_in(
+    folder: Path, algo: str, space: Space, objectives: Sequence[Objective], spec: SweepSpec | None = None
+) -> Found:
+    """What the rows of a run folder say of one of its learners; with a `spec` the rows of that alone.
 
     Raises:
         UserError: there are no rows of it, or no point has a score.
     """
     rows = read(folder, lambda line: None)
+    if spec is not None:
+        rows = chosen_of(rows, spec)
     frame = rows.episodes
     if frame.empty or algo not in set(frame["algo"]):
         raise UserError(f"{folder}: it holds no rows of {algo}")
     study = gather(frame.loc[frame["algo"] == algo], rows.manifest)
-    names, fixed = list(space), {}
-    for name in names:
-        if name not in study.varying:
-            (fixed[name],) = set(space[name].ends)  # one value in all: it is no column
+    names, fixed = list(space), _fixed(space, rows.manifest)
     keys = by_point(study, names)
     each = [run_scores(groups, study, objectives[0]) for groups in keys.values()]
     scores = [point_scores(groups, study, objectives) for groups in keys.values()]
@@ -102,6 +107,12 @@ def found_in(folder: Path, algo: str, space: Space, objectives: Sequence[Objecti
         for place, key in ((place, list(keys)[place]) for place in order)
     )
     return Found(study.env, algo, space, tuple(objectives), points)
+
+
+def _fixed(space: Space, manifest: Mapping[str, Any]) -> dict[str, float]:
+    """The settings that have one value in all rows, which is no column: as the manifest says."""
+    given = points_given(manifest["specification"])
+    return {name: float(given[name][0]) for name in space if name not in manifest["varying"]}
 
 
 def _tied(each: Sequence[Scores], best: int, objective: Objective) -> list[bool]:

@@ -7,8 +7,10 @@ import sys
 
 import pytest
 
-from gpcjax import elsewhere
+from gpcjax import elsewhere, registry
+from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
+from gpcjax.making import Maker
 from gpcjax.sweep import parcel
 from gpcjax.sweep.parcel import CODE, parcel_of
 from gpcjax.sweep.plan import plan
@@ -66,6 +68,22 @@ def test_modules_with_what_they_import_from_beside_them(here, tmp_path):
     files, paths = opened([named(env="mytask:Drift")], tmp_path)
     names = ["apackage/__init__.py", "apackage/inner.py", "apackage/table.txt", "beside.py", "mytask.py"]
     assert files == [f"{CODE}/{name}" for name in names] and paths == {}
+
+
+def test_what_descriptions_name_in_their_turn(here, tmp_path, monkeypatch):
+    """What makes the task and its expert lie in modules, and in a folder, that the description does not import."""
+    (here / "described.py").write_text("")
+    (here / "making.py").write_text("")
+    make = type("Made", (), {"__module__": "making"})
+    spec = TaskSpec(
+        "described:TASK", Maker("env", make, lambda made: made), {"own": "another:expert", "saved": "policy"}
+    )
+    monkeypatch.setitem(registry._FOUND, ("task", spec.name), spec)
+    files, paths = opened(
+        [named(env=spec.name, oracle="own"), named(env=spec.name, oracle="saved")], tmp_path
+    )
+    assert {f"{CODE}/{name}.py" for name in ("described", "making", "another")} < set(files)
+    assert set(paths) == {"policy"}
 
 
 def test_folders_and_files_by_the_names_that_they_have_here(here, tmp_path):

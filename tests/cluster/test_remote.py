@@ -44,7 +44,7 @@ def parcel(tmp_path, monkeypatch):
 def hear(remote, answer=None):
     """All that it says until it asks, fails or ends."""
     heard = pickle.loads(remote.hear(None if answer is None else pickle.dumps((answer, {}))))
-    while not any(message[0] in ("ready", "next", "failed", "ended") for message in heard):
+    while not any(message[0] in ("ready", "next", "failed", "refused", "ended") for message in heard):
         heard += pickle.loads(remote.hear())
     return heard
 

@@ -3,20 +3,23 @@
 import dataclasses
 import json
 import shutil
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep import costs, machine
+from gpcjax.sweep import machine, merging, weights
+from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.growth import grown
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.merging import merge
-from gpcjax.sweep.plan import plan, program_of, varying
+from gpcjax.sweep.plan import plan, program_of, specification_hash, varying
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.run import new_manifest
-from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of, shares
+from gpcjax.sweep.runfolder import check_sweep
+from gpcjax.sweep.shards import Shard, check_shard, held_shard, shard_of, share_of, shares
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
 
@@ -26,8 +29,8 @@ CELLS = plan(SPEC)
 
 def cost(cells):
     """Seconds of a share, as they are reckoned before anything ran."""
-    first = sum(costs.compiling(program.algo) for program in {program_of(cell) for cell in cells})
-    return first + sum(costs.of_episode(cell.env, cell.algo, cell.oracle) * cell.episodes for cell in cells)
+    first = sum(weights.of_program(program.algo) for program in {program_of(cell) for cell in cells})
+    return first + sum(weights.of_episode(cell.env, cell.algo, cell.oracle) * cell.episodes for cell in cells)
 
 
 class TestShares:
@@ -42,9 +45,17 @@ class TestShares:
             parts = shares(CELLS, of)
             least = max(cost(CELLS) / of, max(cost([cell]) for cell in CELLS))
             # Wherever a program is cut, it is compiled once more.
-            assert max(map(cost, parts)) <= least + costs.compiling("gpc-ns") + 1.0
+            assert max(map(cost, parts)) <= least + weights.of_program("gpc-ns") + 1.0
             programs = [len({program_of(cell) for cell in part}) for part in parts]
             assert sum(programs) <= 3 + of - 1
+
+    def test_which_cells_a_share_has_never_changes(self):
+        """Shards that were made by another version, with another table of costs, fit together with these."""
+        parts = [
+            Counter(cell.algo for cell in part)
+            for part in shares(plan(spec_of(env="cartpole", algo=["gpc", "gpc-ns", "coach"], seeds=100)), 3)
+        ]
+        assert parts == [{"gpc": 100}, {"gpc-ns": 65}, {"gpc-ns": 35, "coach": 100}]
 
     def test_more_than_there_are_cells(self):
         parts = shares(CELLS[:2], 4)
@@ -101,6 +112,16 @@ def made(out, spec, shard, kind=""):
     return folder
 
 
+def grow(folder, spec):
+    """A share that was asked for more, and has it."""
+    manifest = grown(read_manifest(folder), spec)
+    cells = share_of(manifest, held_shard(manifest))
+    manifest |= {"cells": len(cells), "complete": True}
+    store = Store(folder, manifest, machine.kind_of(manifest["machine"]), request=specification_hash(spec))
+    store.append([stored(cell) for cell in store.missing(cells)])
+    write_manifest(folder, manifest)
+
+
 def stored(cell):
     names = (
         "returns length corrections rate_sum asked chance_sum policy_points human_points clipped full".split()
@@ -109,6 +130,9 @@ def stored(cell):
     corrections = {name: np.zeros((0, 3)) for name in ("moments", "values", "outcome")}
     return CellRows(cell, np.array([1]), ["ok"], episodes, corrections)
 
+
+NOBODY = 2**22 + 1
+"""The number of no process."""
 
 SMALL = spec_of(env="mountaincar", algo="coach", seeds=7, episodes=1)
 
@@ -134,6 +158,55 @@ class TestMerging:
     def test_it_may_be_done_again(self, out):
         before = {path.name for path in (merge([out]) / "episodes").iterdir()}
         assert {path.name for path in (merge([out]) / "episodes").iterdir()} == before
+
+    @pytest.mark.parametrize("grown", [False, True])
+    def test_killed_at_any_moment_it_may_be_done_again(self, tmp_path, monkeypatch, grown):
+        """Before and after each file that it writes, of which the first ones are no episodes."""
+        source = tmp_path / "source"
+        for number in (1, 2):
+            folder = made(source, SMALL, Shard(number, 2))
+            if grown:
+                grow(folder, dataclasses.replace(SMALL, seeds=spec_of(env="mountaincar", seeds=9).seeds))
+        whole = merge([source], tmp_path / "whole")
+        files = sorted(str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file())
+        moments, written = 0, []
+
+        class Killed(BaseException):
+            pass
+
+        def write(path, data):
+            if len(written) == moments:
+                path.with_name(f".gpcjax-{NOBODY}-{12 * 'a'}.{path.name}.tmp").write_bytes(b"half")
+                raise Killed
+            write_atomic(path, data)
+            written.append(path)
+
+        monkeypatch.setattr(merging, "write_atomic", write)
+        while True:
+            out = tmp_path / f"killed-{moments}"
+            written.clear()
+            try:
+                merge([source], out)
+                break
+            except Killed:
+                pass
+            moments, written[:] = 10**9, []
+            merge([source], out)
+            moments = int(out.name.removeprefix("killed-"))
+            left = [path for path in out.rglob("*") if path.is_file()]
+            assert sorted(str(path.relative_to(out)) for path in left) == files
+            assert read_episodes(out).equals(read_episodes(whole))
+            moments += 1
+        assert moments == len(files) - 1  # the manifest has a writer of its own
+
+    def test_a_plain_sweep_may_follow_a_killed_merge(self, out):
+        """Of which no episodes are there yet."""
+        (part,) = (Shard(1, 3).folder(out) / "corrections").iterdir()
+        (out / "corrections").mkdir()
+        shutil.copy(part, out / "corrections")
+        check_sweep(out, SMALL)
+        with pytest.raises(UserError, match="it holds rows of another sweep and no manifest"):
+            check_sweep(out, dataclasses.replace(SMALL, episodes=2))
 
     def test_kinds_of_machines_that_differ_are_told(self, out, capsys):
         shutil.rmtree(Shard(2, 3).folder(out))

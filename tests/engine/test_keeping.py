@@ -14,9 +14,10 @@ from gpcjax.engine.history import Credit
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Phase
 from gpcjax.engine.pool import Pool, Tier
-from gpcjax.engine.snapshots import NotResumed, Snapshot, pack, unpack
+from gpcjax.engine.snapshots import FORMAT, NotResumed, Snapshot, pack, unpack
 from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Status
+from gpcjax.sweep import checkpoints
 from gpcjax.teachers.oracle import synthesised
 from tests.engine.host_tasks import GymDrift, host_drift
 from tests.engine.tasks import Drift, expert, kept, learner, make_pool, oracle, run, start
@@ -247,3 +248,9 @@ class TestLateOnHost(GoesOn):
 def test_a_keep_of_nothing_is_refused(numbers):
     with pytest.raises(ValueError, match="give episodes to keep"):
         Keep(**numbers)
+
+
+def test_checkpoints_name_the_format_of_what_is_in_them():
+    """So that those of another version go without a line for each of their runs."""
+    assert checkpoints.SNAPSHOTS == FORMAT
+    assert checkpoints.told({}, "", None)["snapshots"] == FORMAT

@@ -29,6 +29,31 @@ def expert(obs):
     return jnp.clip(-3.0 * obs[:1], -1.0, 1.0)
 
 
+DRIFT = gpcjax.TaskSpec(
+    name="drifting:DRIFT",
+    make=Drift,
+    experts={"own": "drifting:expert"},
+    label="Drifting",
+    unit="metres, negative",
+    actions=("push",),
+    sizes=(2, 1),
+    presets={"coach": {"lower": -1.0, "upper": 1.0, "counts": (5, 5)}},
+)
+
+
+class Homeward(gpcjax.Teacher):
+    """Knows without an expert that it is to go back."""
+
+    def may_advise(self, coins, largest_sigma, step):
+        return coins < 0.3
+
+    def advise(self, coins, moment):
+        return jnp.where(coins < 0.3, -jnp.sign(moment.obs[:1]), 0.0)
+
+
+HOMEWARD = gpcjax.TeacherSpec(name="drifting:HOMEWARD", make=Homeward, needs_expert=False)
+
+
 class Linear(gpcjax.Learner):
     """A linear policy, moved along the observation by each advice."""
 
@@ -46,6 +71,9 @@ class Linear(gpcjax.Learner):
 
     def measure(self, state):
         return {"weight": jnp.abs(state).max()}
+
+
+LINEAR = gpcjax.LearnerSpec(name="linear", make=Linear, label="A line")
 
 
 class Drawing(Linear):

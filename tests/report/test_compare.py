@@ -13,6 +13,7 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report import compare_page
 from gpcjax.report.compare import folder_names, usual_out
+from gpcjax.sweep.growth import usual
 from gpcjax.sweep.layout import part_name, sha256
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import hash_of
@@ -101,6 +102,17 @@ class TestMatching:
         found = gpcjax.compare(folder(tmp_path / "a"), folder(tmp_path / "b", given={LP: 0.2}))
         assert any("policy_length_scale l_p (preset in a; 0.2 in b)" in line for line in found.notes)
         assert len(areas(found)) == 2
+
+    def test_a_preset_is_the_value_that_it_is(self, tmp_path):
+        """A folder before and after it grew by a setting, whose usual value nobody gave."""
+        value = usual("cartpole", "gpc", "oracle", LP)
+        points = {"gpc": [{LP: value}, {LP: 2 * value}], "coach": [{}]}
+        found = gpcjax.compare(folder(tmp_path / "before"), folder(tmp_path / "after", points=points))
+        table = areas(found).set_index("algo")
+        assert set(table.index) == {"gpc", "coach"} and (table["pairs"] == 12).all()
+        (match,) = found.matches
+        assert match.across == () and not match.alone[0]
+        assert [group.point.get(LP) for group in match.alone[1]] == [2 * value]
 
     def test_learners_when_each_folder_has_one(self, tmp_path):
         one, other = (folder(tmp_path / algo, algos=(algo,)) for algo in ("gpc", "coach"))

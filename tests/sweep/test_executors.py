@@ -17,7 +17,7 @@ from gpcjax.sweep.executors import Desk, processes, starting
 from gpcjax.sweep.executors.starting import FEWER
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.worker import told
+from gpcjax.sweep.worker import last_word, told
 
 CELLS = plan(spec_of(env="cartpole", algo="coach", seeds=4, oracle="lqr"))
 START = """
@@ -99,12 +99,18 @@ def test_its_own_error_is_one_line_with_the_full_text_beside_it(workers):
         (MemoryError(), f"MemoryError{FEWER}", False),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), f"RuntimeError: RESOURCE_EXHAUSTED: Out of memory{FEWER}", False),  # noqa: E501
         (OSError(errno.EMFILE, "Too many open files"), "OSError: [Errno 24] Too many open files", False),
-        (UserError("env 'x': give y"), "UserError: env 'x': give y", False),
     ],
 )  # fmt: skip
 def test_what_a_worker_tells_of_its_error(error, line, ours):
     assert told(error)[0] == line
     assert bool(told(error)[1]) == ours and (not ours or type(error).__name__ in told(error)[1])
+
+
+def test_what_a_worker_refuses_is_the_persons_mistake(workers):
+    """Raised again as it was: status 2 on the command line, not a fault of ours."""
+    assert last_word(UserError("env 'x':\n give y")) == ("refused", "env 'x': give y")
+    with pytest.raises(UserError, match=r"^env 'x': give y$"):
+        workers("""parent.send(("refused", "env 'x': give y"))""")
 
 
 def test_one_that_cannot_be_started(workers, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 
 from gpcjax.errors import UserError
 from gpcjax.sweep import run as run_module
+from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.layout import GROWN
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import plan
@@ -16,6 +17,7 @@ from gpcjax.sweep.run import sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import spec_of
+from tests.sweep.folders import begun, manifest_of
 from tests.sweep.pretended import Pretended
 
 BASE = {"env": "cartpole", "algo": ["gpc", "coach"], "error": 0.1, "seeds": 2, "episodes": 3, "oracle": "lqr"}
@@ -124,6 +126,19 @@ def test_what_contradicts_is_refused_with_the_difference(tmp_path, pretended, ch
     sweep(tmp_path, **BASE)
     with pytest.raises(UserError, match=rf"it holds another specification \({what}"):
         check_sweep(tmp_path, spec_of(**(BASE | change)))
+
+
+def test_seeds_that_are_not_held_are_not_taken_for_held(tmp_path):
+    """Together they are more than a sweep has, which is said, and not forgotten."""
+    half = {"env": "mountaincar", "algo": "coach", "episodes": 1}
+    spec, other = (spec_of(**half, seeds=seeds) for seeds in ("0-599999", "600000-1199999"))
+    assert (spec.seeds | other.seeds).spans == ((0, 1_199_999),)
+    assert covering(manifest_of(spec), other) is None and covering(manifest_of(spec), spec) is not None
+    message = r"^1,200,000 seeds in all: a folder has 1,000,000 at most, give a new one \(--out\)$"
+    with pytest.raises(UserError, match=message):
+        check_sweep(begun(tmp_path, spec), other)
+    with pytest.raises(UserError, match=message):
+        grown(manifest_of(spec), other)
 
 
 def test_another_version_is_refused(tmp_path, pretended, monkeypatch):

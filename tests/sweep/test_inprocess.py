@@ -97,9 +97,9 @@ class TestAWorker:
             return ("baseline", "no_such_task", "idle")
 
         assert not work(say)
-        (ready, (failed, line, text)) = said
-        assert ready == ("ready",) and failed == "failed"
-        assert line.startswith("UserError: env 'no_such_task'") and text == ""
+        (ready, (kind, line)) = said
+        assert ready == ("ready",) and kind == "refused"
+        assert line.startswith("env 'no_such_task'")
 
     def test_that_of_the_desk(self):
         full = OSError(28, "No space left on device")
@@ -111,8 +111,8 @@ class TestAWorker:
             work(say)
         assert error.value is full
 
-    def test_what_a_failed_worker_said_ends_the_sweep(self):
+    def test_what_a_worker_refused_ends_the_sweep(self):
         cell = plan(spec_of(**SETTINGS))[0]
         desk = Desk([cell], [("no_such_task", "idle")], 1, lambda _: None, lambda *_: None, lambda _: None)
-        with pytest.raises(Failure, match=r"failed: UserError: .*no_such_task"):
+        with pytest.raises(UserError, match=r"^env 'no_such_task': give"):
             InProcess().run(desk)

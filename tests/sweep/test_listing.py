@@ -1,9 +1,11 @@
 """What `gpcjax runs` and `gpcjax show` tell of run folders."""
 
 import json
+import shutil
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,8 @@ from gpcjax import cli
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.listing import commands, contents, look, run_folders
 from gpcjax.sweep.lock import held, holder
+from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.plan import hash_of
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.folders import begun, manifest_of
@@ -151,14 +155,85 @@ def test_show(several, capsys):
     assert "this is no run folder" in capsys.readouterr().err
 
 
+ODD = {
+    "an infinite time": {"wall_time_s": float("inf")},
+    "a time that is no number": {"wall_time_s": float("nan")},
+    "a negative time": {"compile_time_s": -1.0},
+    "yes for a number": {"env_steps": True},
+    "a word for a number": {"finished": "x"},
+    "a number for machines": {"further_machines": 7},
+    "a machine that is none": {"further_machines": ["x"]},
+    "requests without anything": {"asked": [{}], "format": 4},
+    "requests of something else": {
+        "asked": [{"hash": "a", "specification": {}, "filled": {}}],
+        "format": 4,
+    },
+    "no seeds": {"specification": {"env": "cartpole", "hyperparameters": {}}},
+    "seeds that are none": {"specification": {"seeds": "many"}},
+    "errors that are none": {"specification": {"error": 0.1}},
+    "learners that are none": {"specification": {"algo": [3]}},
+    "episodes that are none": {"specification": {"episodes": "3"}},
+}
+
+
+@pytest.mark.parametrize("odd", ODD.values(), ids=ODD)
+@pytest.mark.parametrize("sealed", [True, False])
+def test_one_odd_manifest_does_not_end_the_list(tmp_path, capsys, odd, sealed):
+    begun(tmp_path / "sound", spec_of(**SETTINGS))
+    manifest = {**manifest_of(spec_of(**SETTINGS)), "format": 3 if sealed else 2} | odd
+    if "specification" in odd:
+        specification = {**manifest_of(spec_of(**SETTINGS))["specification"], **odd["specification"]}
+        manifest["specification"] = odd["specification"] if len(odd["specification"]) > 1 else specification
+        manifest |= {"hash": hash_of(manifest["specification"]), "varying": []}
+    if sealed:
+        (tmp_path / "odd").mkdir()
+        write_manifest(tmp_path / "odd", manifest)
+    else:
+        (tmp_path / "odd").mkdir()
+        (tmp_path / "odd" / "manifest.json").write_text(json.dumps(manifest))
+    assert {each.path.name: each.state for each in run_folders(tmp_path)} == {
+        "sound": "interrupted",
+        "odd": "not readable",
+    }
+    for words in (["runs", str(tmp_path)], ["show", str(tmp_path / "odd")]):
+        for more in ([], ["--json"]):
+            assert cli.main([*words, *more]) == 0
+    told = capsys.readouterr()
+    assert "not readable" in told.out and not told.err
+
+
+def test_a_folder_whose_episodes_are_gone_is_not_complete(several, capsys, monkeypatch):
+    shutil.rmtree(several / "complete" / "episodes")
+    folder = look(several / "complete")
+    assert (folder.state, folder.note, folder.finished) == ("interrupted", "its episodes are gone", 0)
+    assert cli.main(["runs", str(several)]) == 0
+    assert "0/8" in capsys.readouterr().out
+    monkeypatch.setattr(run_module, "Processes", Pretended())
+    sweep(several / "complete", **SETTINGS)
+    assert look(several / "complete").state == "complete"
+
+
+def test_files_may_go_while_they_are_looked_at(several, monkeypatch):
+    """A sweep that is going on removes what it has put together."""
+    folder, names = look(several / "complete"), []
+    whole = contents(folder)
+
+    def stat(path, **options):
+        names.append(path.name)
+        if len(names) % 3 == 0:
+            raise FileNotFoundError(path)
+        return old(path, **options)
+
+    old = Path.stat
+    monkeypatch.setattr(Path, "stat", stat)
+    assert 0 < contents(folder).size < whole.size
+
+
 def test_a_folder_of_an_unknown_learner_is_listed(tmp_path):
     """Nothing of somebody's own is imported for it."""
     manifest = manifest_of(spec_of(**SETTINGS))
     specification = {**manifest["specification"], "algo": ["nowhere:Learner"], "env": "nowhere:Task"}
     begun(tmp_path, spec_of(**SETTINGS))
-    from gpcjax.sweep.manifest import write_manifest
-    from gpcjax.sweep.plan import hash_of
-
     write_manifest(tmp_path, {**manifest, "specification": specification, "hash": hash_of(specification)})
     folder = look(tmp_path)
     assert folder.state == "interrupted" and folder.as_json()["algo"] == ["nowhere:Learner"]

@@ -14,14 +14,14 @@ from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, experience
 from gpcjax.sweep.crowd import Crowd
-from gpcjax.sweep.estimate import overdue, seconds_left
+from gpcjax.sweep.estimate import compiling_left, overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import GROWS, SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
-from gpcjax.sweep.telling import State
+from gpcjax.sweep.telling import State, Told
 from gpcjax.sweep.works import Work, works_of
 
 TICK = 0.25
@@ -245,7 +245,7 @@ class TestPaces:
     def test_what_was_expected_counts_until_the_pace_is_known(self):
         """A program that took 30 s the last time, of which the first quarter came in 2 s: its later runs are longer."""
         work = Work("cartpole", "gpc", 40, 10, begun=10, finished=10, joined=1, workers=1)
-        work.before = Cost(30.0 / 400, 0.0, 40)
+        work.before = Cost(30.0 / 400, 0.0, 40, 1)
         work.finished_steps = work.steps = 1000
         work.finished_episodes = work.done_episodes = 100
         by_pace = replace(work, before=None, seconds=2.0)
@@ -276,7 +276,7 @@ def test_a_slow_machine_takes_longer_for_what_was_not_seen_here():
     works = [Work("cartpole", "gpc", 100, 30)]
     slow = seconds_left([replace(works[0], machine=2.0, slowness=3.0)], 2)
     assert slow == pytest.approx(6.0 * seconds_left(works, 2))
-    known = replace(works[0], before=Cost(0.1, 1.0, 100))
+    known = replace(works[0], before=Cost(0.1, 1.0, 100, 1))
     assert seconds_left([replace(known, machine=2.0)], 2) == seconds_left([known], 2)
 
 
@@ -401,6 +401,17 @@ def test_one_table_says_what_programs_cost():
     assert seconds_left(list(slow.values()), 2) > 5 * seconds_left(list(fast.values()), 2)
 
 
+def test_what_is_known_says_nothing_of_what_is_not():
+    """A program that ran here before tells how long it takes, and not how slow a machine is for others."""
+    new = Work("cartpole", "gpc", 1000, 30, machine=3.0)
+    other = Work("pendulum", "coach", 10, 40, begun=10, finished=5, steps=40_000, done_episodes=200, joined=1)
+    other.finished_steps, other.finished_episodes, other.seconds, other.machine = 40_000, 200, 1.0, 3.0
+    known = replace(other, before=Cost(1.0 / 200, 0.0, 10, 1))
+    alone = seconds_left([new], 1)
+    assert seconds_left([new, known], 1) == pytest.approx(alone, rel=0.02)
+    assert seconds_left([new, other], 1) != pytest.approx(alone, rel=0.3)
+
+
 class TestExperience:
     """What programs took here is known the next time."""
 
@@ -411,18 +422,18 @@ class TestExperience:
     def test_it_is_remembered(self, tmp_path):
         one, other = self.PROGRAMS
         assert experience.of(self.PROGRAMS, tmp_path) == {}
-        experience.learn({one: Cost(0.5, 10.0, 64)}, tmp_path)
-        assert experience.of(self.PROGRAMS, tmp_path) == {one: Cost(0.5, 10.0, 64)}
-        experience.learn({one: Cost(0.25, 1.0, 3), other: Cost(1.0, 5.0, 2)}, tmp_path)
-        assert experience.of([one], tmp_path) == {one: Cost(0.25, 1.0, 3)}
+        experience.learn({one: Cost(0.5, 10.0, 64, 1)}, tmp_path)
+        assert experience.of(self.PROGRAMS, tmp_path) == {one: Cost(0.5, 10.0, 64, 1)}
+        experience.learn({one: Cost(0.25, 1.0, 3, 1), other: Cost(1.0, 5.0, 2, 1)}, tmp_path)
+        assert experience.of([one], tmp_path) == {one: Cost(0.25, 1.0, 3, 1)}
         assert experience.start_of(tmp_path) == experience.USUAL_START
-        experience.learn({one: Cost(0.25, 1.0, 3)}, tmp_path, started=4.0)
-        experience.learn({one: Cost(0.25, 1.0, 3)}, tmp_path, started=2.0)
+        experience.learn({one: Cost(0.25, 1.0, 3, 1)}, tmp_path, started=4.0)
+        experience.learn({one: Cost(0.25, 1.0, 3, 1)}, tmp_path, started=2.0)
         assert experience.start_of(tmp_path) == 3.0 and experience.start_of(None) == experience.USUAL_START
 
     def test_it_counts_before_and_while_a_sweep_runs(self):
         one, other = self.PROGRAMS
-        known = works_of({one: 100, other: 100}, {one: Cost(0.5, 0.0, 100), other: Cost(0.1, 0.0, 100)})
+        known = works_of({one: 100, other: 100}, {one: Cost(0.5, 0.0, 100, 1), other: Cost(0.1, 0.0, 100, 1)})
         episodes = 100 * one.episodes
         assert seconds_left(list(known.values()), 1) == pytest.approx(episodes * 0.6, rel=0.05)
         work = known[one]
@@ -432,18 +443,23 @@ class TestExperience:
         work.finished_episodes = work.done_episodes = 60 * one.episodes
         work.finished_steps = work.steps = 1000
         work.seconds, work.compile_seconds = 30.0, 4.0
-        assert work.took == Cost(30.0 / work.done_episodes, 4.0, 60)
+        assert work.took == Cost(30.0 / work.done_episodes, 4.0, 60, 1)
         # What was compiled comes from the cache the next time.
-        work.compilations = 2
-        assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_CACHE, 60)
-        work.compilations = 10
-        assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_TEXT, 60)
+        work.kept = 2
+        assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_CACHE, 60, 1)
+        work.kept = 10
+        assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_TEXT, 60, 1)
 
     def test_few_cells_tell_what_many_take(self):
         """Those of few keep a block half empty; the more there were then, the more they are believed."""
-        (one, _), few, many = self.PROGRAMS, Cost(0.5, 0.0, costs.LANES), Cost(0.5, 0.0, 6400)
+        (one, _), few, many = self.PROGRAMS, Cost(0.5, 0.0, costs.LANES, 1), Cost(0.5, 0.0, 6400, 1)
         of_few, of_many = (works_of({one: 6400}, {one: cost})[one] for cost in (few, many))
         assert of_few.usual_episode == pytest.approx(0.5 * 1.01 / 2) and of_many.usual_episode == 0.5
+        # The same sweep once more is told what it took, by as many workers as then.
+        again = works_of({one: 64}, {one: Cost(0.5, 0.0, 64, 2)})[one]
+        assert again.usual_episode == 0.5
+        again.joined = 1
+        assert again.usual_episode == pytest.approx(0.5 * 2 / 3)
         for work in (of_few, of_many):
             work.begun = work.finished = 1600
             work.finished_episodes = work.done_episodes = 1600 * one.episodes
@@ -459,9 +475,14 @@ class TestExperience:
             b"[]",
             b"{",
             b'{"a": 3}',
-            b'{"a": [1, 2]}',
-            b'{"a": [1, 2, "3"]}',
-            b'{"a": [1, 2, true]}',
+            b'{"a": [1, 2, 3]}',
+            b'{"a": [1, 2, "3", 1]}',
+            b'{"a": [1, 2, true, 1]}',
+            b'{"a": [0, 2, 3, 1]}',
+            b'{"a": [1, 2, 0, 1]}',
+            b'{"a": [1, 2, 3, 1.5]}',
+            b'{"a": [NaN, 2, 3, 1]}',
+            b'{"a": [1, 2, ' + b"9" * 400 + b", 1]}",
             b"[" * 100000,
             bytes([255]),
         ],
@@ -469,33 +490,45 @@ class TestExperience:
     def test_a_file_that_is_none_is_nothing(self, tmp_path, content):
         (tmp_path / experience.FILE).write_bytes(content)
         assert experience.of(self.PROGRAMS, tmp_path) == {}
-        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5)}, tmp_path)
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5, 1)}, tmp_path)
         assert len(experience.of(self.PROGRAMS, tmp_path)) == 1
 
     def test_nowhere_to_write(self, tmp_path):
-        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5)}, None)
-        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5)}, tmp_path / "none")
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5, 1)}, None)
+        experience.learn({self.PROGRAMS[0]: Cost(1.0, 1.0, 5, 1)}, tmp_path / "none")
         assert experience.of(self.PROGRAMS, tmp_path / "none") == experience.of(self.PROGRAMS, None) == {}
 
     def test_it_is_bounded(self, tmp_path, monkeypatch):
         monkeypatch.setattr(experience, "MOST", 1)
         for program in self.PROGRAMS:
-            experience.learn({program: Cost(1.0, 1.0, 5)}, tmp_path)
+            experience.learn({program: Cost(1.0, 1.0, 5, 1)}, tmp_path)
         assert list(experience.of(self.PROGRAMS, tmp_path)) == [self.PROGRAMS[-1]]
 
     def test_the_first_line_of_a_log_says_it(self):
         stream, clock = io.StringIO(), Clock()
         works = tuple(
             works_of(
-                dict.fromkeys(self.PROGRAMS, 100), {each: Cost(0.1, 3.0, 100) for each in self.PROGRAMS}
+                dict.fromkeys(self.PROGRAMS, 100), {each: Cost(0.1, 3.0, 100, 1) for each in self.PROGRAMS}
             ).values()
         )
         with Bar("cartpole", 200, 1, stream, clock, works):
             pass
-        expected = (
-            r"cartpole: 200 cells in 1 process, about \d+:\d\d, of which 0:03 until all programs are there"
-        )
+        expected = r"cartpole: 200 cells in 1 process, about \d+:\d\d, 0:06 of it compiling"
         assert re.fullmatch(expected, stream.getvalue().splitlines()[0])
+
+    def test_what_was_never_compiled_is_told_too(self):
+        """By each program's tiers; less of it, the more was compiled; nothing of those that are nearly done."""
+        works = list(works_of(dict.fromkeys(self.PROGRAMS, 100)).values())
+        told = Told("cartpole", 200, 2, works)
+        assert re.fullmatch(r"about \d:\d\d left, 0:1\d of it compiling", told.left)
+        before = compiling_left(works, 1)
+        assert before == pytest.approx(sum(work.usual_compiling for work in works))
+        assert compiling_left(works, 2) == max(work.usual_compiling for work in works)
+        works[0].joined, works[0].compiling_for = 1, 2.0
+        assert compiling_left(works, 1) == pytest.approx(before - 2.0)
+        for work in works:
+            work.begun = work.finished = work.cells
+        assert compiling_left(works, 1) == 0.0
 
 
 def test_json_lines():
@@ -508,6 +541,6 @@ def test_json_lines():
     assert [line["event"] for line in told] == ["begin", "progress", "progress", "end"]
     assert told[1] == {
         "event": "progress", "sweep": "cartpole", "cells": 10, "finished": 3, "env_steps": 1000, "elapsed_s": 1.5,
-        "left_s": told[1]["left_s"], "compiling": True,
+        "left_s": told[1]["left_s"], "compile_s": told[1]["compile_s"], "compiling": True,
     }  # fmt: skip
-    assert told[1]["left_s"] > 0
+    assert told[1]["left_s"] >= told[1]["compile_s"] > 0

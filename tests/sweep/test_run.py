@@ -96,6 +96,17 @@ def test_a_second_call_runs_nothing_and_writes_nothing(tmp_path, pretend):
     }
 
 
+def test_checkpoints_of_a_complete_sweep_go(tmp_path, pretend):
+    """A kill behind the last manifest has left them; somebody's own file stays."""
+    pretended = pretend()
+    sweep(tmp_path, **SETTINGS)
+    (tmp_path / "checkpoints" / "1795690957943205000-7-9").mkdir(parents=True)
+    (tmp_path / "checkpoints" / "mine").touch()
+    sweep(tmp_path, **SETTINGS)
+    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["mine"]
+    assert len(pretended.calls) == 1
+
+
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt, RuntimeError("a worker failed")], ids=["stopped", "failed"]
 )

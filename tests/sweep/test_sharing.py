@@ -132,6 +132,36 @@ def desk(these=None, baselines=(), jobs=2):
 class TestDesk:
     """What is common to all executors."""
 
+    def test_how_long_workers_take_to_be_there_is_told_by_those_that_begin(self, monkeypatch):
+        """And by no other: one that is lost and comes back hours later says nothing of it, nor one that stayed."""
+        now = [1000.0]
+        monkeypatch.setattr("gpcjax.sweep.executors.desk.time.monotonic", lambda: now[0])
+        it = Desk(cells(seeds=2), [], 2, lambda _: None, lambda *_: None, lambda _: None, starts=2.0)
+        work = next(iter(it.works.values()))
+        assert work.ready_in == 2.0 and it.started is None
+        now[0] += 3.0
+        for worker in (0, 1):
+            assert it.answer(worker, ("begun", 5.2, 2.6)) is None
+            assert it.answer(worker, ("ready",))[0] == "program"
+        it.look()
+        assert it.started == 2.6 and work.ready_in == 0.0
+        assert (work.machine, work.slowness) == (2.0, 2.0)
+        now[0] += 7200.0
+        it.lose(1)
+        now[0] += 1.0
+        it.look()
+        assert work.ready_in == 0.0
+        it.answer(1, ("ready",))
+        assert it.started == 2.6
+
+    def test_programs_that_are_kept_now_are_counted(self):
+        it, _, _, _ = desk()
+        it.answer(0, ("ready",))
+        it.answer(0, ("next",))
+        it.answer(0, ("progress", Totals(compile_seconds=3.0, compilations=3, kept=2)))
+        it.answer(0, ("progress", Totals(compile_seconds=4.0, compilations=4, kept=3)))
+        assert sum(work.kept for work in it.works.values()) == 3
+
     def test_the_last_worker_measures_first_and_another_one_when_it_has_nothing_else(self):
         it, _, measured, _ = desk(baselines=[("cartpole", "idle"), ("cartpole", "lqr")])
         assert it.answer(1, ("ready",)) == ("baseline", "cartpole", "idle")

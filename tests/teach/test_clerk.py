@@ -1,6 +1,8 @@
 """The process that writes: what is asked is done there, or here where it cannot go; nothing is lost with a process."""
 
+import io
 import os
+import signal
 
 import pytest
 
@@ -56,3 +58,61 @@ def test_its_process_may_die(clerk, tmp_path):
     before = clerk._process.pid
     clerk._process.kill()
     assert written(clerk, tmp_path / "note") == clerk._process.pid != before
+
+
+class Answering(Note):
+    """Fails the first time, with more to say than a pipe holds."""
+
+    def write(self):
+        if not self.path.exists():
+            self.path.touch()
+            raise UserError("." * 2**20)
+        super().write()
+
+
+class Killing(io.RawIOBase):
+    """The answers of a process, which dies while the first of them is read."""
+
+    def __init__(self, process):
+        self._process, self._answers = process, process.stdout
+
+    def readable(self):
+        return True
+
+    def readinto(self, buffer):
+        count = self._answers.raw.readinto(buffer)
+        self._process.kill()
+        return count
+
+    def close(self):
+        self._answers.close()
+        super().close()
+
+
+def test_its_process_may_die_within_an_answer(clerk, tmp_path):
+    """A part of an answer is none."""
+    before = clerk._process
+    before.stdout = io.BufferedReader(Killing(before))
+    clerk.write(Answering(tmp_path / "note"))
+    assert int((tmp_path / "note").read_text()) == clerk._process.pid != before.pid
+    assert written(clerk, tmp_path / "after") == clerk._process.pid
+
+
+class Hanging:
+    def write(self):
+        signal.pause()
+
+
+def test_one_that_hangs_is_killed(tmp_path, monkeypatch):
+    clerk = Clerk()
+    before = clerk._process
+    with monkeypatch.context() as patch:
+        patch.setattr("gpcjax.teach.clerk.LONGEST", 0.1)
+        with pytest.raises(OSError, match="took over"):
+            clerk.write(Hanging())
+    assert before.returncode is not None
+    assert written(clerk, tmp_path / "after") == clerk._process.pid
+    monkeypatch.setattr("gpcjax.teach.clerk.CLOSING", 0.1)
+    clerk._process.send_signal(signal.SIGSTOP)
+    clerk.close()
+    assert clerk._process.returncode is not None

@@ -7,13 +7,15 @@ import sys
 
 import pytest
 
-from gpcjax import load
+from gpcjax import cli, load
+from gpcjax.report.figures import style
+from gpcjax.sweep import run as run_module
 from gpcjax.sweep.seeds import LARGEST_SEED, Seeds
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.sweep.store import Store
 from gpcjax.tune.best import other_seeds, write_best
 from tests.sweep.folders import begun, manifest_of
-from tests.tune.landscape import scored
+from tests.tune.landscape import Landscape, scored
 
 VALUES = {"policy_length_scale": [0.25, 0.5, 4.0], "human_length_scale": [1.0, 2.0]}
 
@@ -50,10 +52,49 @@ def test_one_for_each_learner_that_it_concerns(tmp_path):
 
 
 def test_other_seeds_are_others():
-    for text in ("5", "3,7", "100-199", f"{LARGEST_SEED - 9}-{LARGEST_SEED}"):
+    last = f"{LARGEST_SEED - 9}-{LARGEST_SEED}"
+    for text in ("5", "3,7", "100-199", last, f"0-9,{last}", f"0-9,12,{last}"):
         seeds = Seeds.of(text)
-        others = other_seeds(seeds)
+        others = other_seeds(seeds, len(seeds))
         assert len(others) == len(seeds) and not any(seed in seeds for seed in others)
+
+
+def test_no_seed_of_the_folder_has_a_part_in_what_follows(tmp_path):
+    """A folder that has more seeds than the grid that is asked for now: they neither choose nor are left."""
+    more, fewer = (spec_of(env="cartpole", algo="gpc", seeds=n, episodes=3, **VALUES) for n in (20, 10))
+    out = held(tmp_path / "o", more)
+    (path,) = write_best(out, fewer)
+    assert make_spec(read_toml(path)).seeds == Seeds.of("20-29")
+    assert path.read_text().startswith("# The best of 6 points by the final return on 10 seeds;")
+    (path,) = write_best(out)
+    assert make_spec(read_toml(path)).seeds == Seeds.of("20-39")
+    assert path.read_text().startswith("# The best of 6 points by the final return on 20 seeds;")
+
+
+def test_a_grid_in_shards_has_one_best_when_they_are_merged(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run_module, "Processes", lambda jobs: Landscape())
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
+    words = "grid --env cartpole --algo gpc --seeds 2 --episodes 3 --policy-length-scale 0.25,0.5,4".split()
+    for number in "12":
+        assert cli.main([*words, "--out", "o", "--shard", f"{number}/2"]) == 0
+    assert "best settings" not in capsys.readouterr().out and not list((tmp_path / "o").rglob("best*"))
+    assert cli.main(["merge", "o"]) == 0
+    assert (
+        "o/best.toml: the best settings, with other seeds: gpcjax sweep o/best.toml"
+        in capsys.readouterr().out
+    )
+    best = make_spec(read_toml(tmp_path / "o" / "best.toml"))
+    assert best.hyperparameters["policy_length_scale"] == (0.5,) and str(best.seeds) == "2-3"
+    assert cli.main([*words, "--out", "plain"]) == 0
+    assert (tmp_path / "plain" / "best.toml").read_text() == (
+        tmp_path / "o" / "best.toml"
+    ).read_text().replace("o/best", "plain/best")
+    capsys.readouterr()
+    assert cli.main([*words, "--out", "told", "--json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert events[-1] == {"event": "best", "out": "told", "files": ["told/best.toml"]}
+    assert (tmp_path / "told" / "best.toml").exists()
 
 
 @pytest.mark.slow

@@ -1,11 +1,14 @@
 """Settings by marginal likelihood, from states that were kept without any engine."""
 
+import contextlib
 import dataclasses
 import math
+import os
 
 import numpy as np
 import pytest
 
+import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.gp.likelihood import Optima
 from gpcjax.learners.factory import make_learner
@@ -17,7 +20,7 @@ from gpcjax.sweep.packing import packed
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import make_spec, read_toml
-from gpcjax.tune import likelihood
+from gpcjax.tune import carrying_out, likelihood
 from gpcjax.tune.dictionaries import chosen_runs, held_by
 from gpcjax.tune.likelihood import by_likelihood
 from tests.sweep.pretended import Pretended, rows
@@ -136,3 +139,12 @@ def test_what_is_not_fitted_stays_as_it_was(folder, tmp_path, fits):
 def test_what_cannot_be_done_is_refused(folder, tmp_path, given, message):
     with pytest.raises(UserError, match=message):
         by_likelihood(folder, tmp_path, **given)
+
+
+def test_from_python_the_callers_process_stays_as_it_is(folder, tmp_path, monkeypatch):
+    """The command computes as workers do; whoever calls it from a program of their own has settings of their own."""
+    monkeypatch.setattr(carrying_out, "Processes", lambda jobs: contextlib.nullcontext(Pretended()(jobs)))
+    monkeypatch.setenv("JAX_LOG_COMPILES", "0")
+    before = dict(os.environ)
+    found = gpcjax.run_tuning(method="mll", runs=folder, algo="gpc", out=tmp_path / "o", jobs=1)
+    assert dict(os.environ) == before and (found.folder / "best.toml").exists()

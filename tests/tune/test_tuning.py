@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -191,6 +192,10 @@ def test_what_is_refused_before_anything_runs(workers, tmp_path, capsys):
         (*SEARCH, "--objective", "x"): "--objective 'x': give area,",
         (*SEARCH, "--trials", "0"): "--trials 0: give a whole number",
         (*SEARCH, "--keep", "states"): "--keep: a search has none",
+        (*SEARCH, "--engine", "ray"): "--engine: a search has none, leave it out",
+        (*SEARCH, "--address", "auto"): "--address: a search has none, leave it out",
+        (*SEARCH, "--shard", "1/2"): "--shard: a search has none, leave it out",
+        (*SEARCH, "--checkpoint", "0"): "--checkpoint: a search has none, leave it out",
         (*SEARCH, "--out", "full"): "full: this is no folder of a search, and it is not empty",
         ("--method", "mll", *SEARCH): "--batch: with --method mll it changes nothing",
         ("a.toml", *SEARCH): "a.toml: [tune] trial is no setting of a search",
@@ -239,6 +244,82 @@ def test_a_folder_holds_one_search(workers, tmp_path, capsys):
     capsys.readouterr()
     assert cli.main([*WORDS, *SEARCH, "--trials", "4", "--objective", "final_return"]) == 2
     assert "o: it holds another search (objectives ['area'], not ['final_return'])" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param((*SEARCH, "--trials", "1"), id="one trial"),
+        pytest.param((*SEARCH, "--trials", "3", "--rungs", "1"), id="one of three goes on"),
+        pytest.param(
+            (*SEARCH[:2], "--search", "human-length-scale=0.5,2", "--trials", "2"), id="one value of a list"
+        ),
+    ],
+)
+def test_one_point_is_enough(workers, tmp_path, capsys, words):
+    """At its end, and when it goes on: what has one value in all rows is no column of them."""
+    for sampler in "012":
+        for _ in range(2):
+            assert cli.main([*WORDS[:-1], f"o{sampler}", "--sampler-seed", sampler, *words]) == 0
+        found = table(tmp_path / f"o{sampler}")
+        best = tuned(tmp_path / f"o{sampler}").hyperparameters
+        for name in ("policy_length_scale", "human_length_scale"):
+            assert best[name] == pytest.approx((found[name][0],), rel=1e-15)
+            assert 0.01 <= best[name][0] <= 100
+
+
+def test_another_best_or_other_seeds_are_judged_alone(workers, tmp_path, capsys):
+    """What an earlier check has left stays, and has no part in a later one."""
+
+    def judged(out, trials, seeds):
+        capsys.readouterr()
+        given = [word for word in WORDS[:-2] if word not in ("--check-seeds", "100-102")]
+        words = [*given, "--check-seeds", seeds, "--trials", trials, "--objective", "area,corrections"]
+        assert cli.main([*words, *SEARCH, "--out", out]) == 0
+        printed = capsys.readouterr().out
+        told = re.findall(r"^.* on (?:seeds|the same) .*$", printed.replace("\n  ", " "), re.MULTILINE)
+        return told, pd.read_csv(tmp_path / out / "check" / "comparison.csv")
+
+    first, _ = judged("o", "2", "100-102")
+    later, numbers = judged("o", "12", "200-201")
+    held = gpcjax.load(tmp_path / "o" / "check" / "tuned")
+    assert set(held["seed"]) == {100, 101, 102, 200, 201}
+    command = "gpcjax compare"  # which would compare all that is there
+    assert command not in (tmp_path / "o" / "tune.html").read_text()
+    shutil.rmtree(tmp_path / "o" / "check")
+    fresh, expected = judged("o", "12", "200-201")
+    assert command in (tmp_path / "o" / "tune.html").read_text()
+    assert later == fresh != first and len(later) >= 3 and "on seeds 200-201" in "".join(later)
+    pd.testing.assert_frame_equal(numbers, expected)
+    assert set(numbers["pairs"]) == {2}
+
+
+def test_help_offers_what_a_search_has(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["tune", "--help"])
+    told = capsys.readouterr().out
+    assert "--search" in told and "--jobs" in told
+    for name in ("--keep", "--engine", "--address", "--shard", "--checkpoint", "--rate-from"):
+        assert name not in told
+
+
+def test_killed_before_it_said_what_it_is(workers, tmp_path, capsys):
+    """The lock, and a file that was being written: no folder of somebody else's."""
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / ".gpcjax.lock").touch()
+    half = tmp_path / "o" / f".gpcjax-{2**22 + 1}-{12 * 'a'}.tune.json.tmp"
+    half.touch()
+    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 0
+    assert not half.exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "null", "{", '{"method": []}'])
+def test_a_state_that_is_none(workers, tmp_path, capsys, text):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "tune.json").write_text(text)
+    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gpcjax: error: o") and "give a new folder" in line
 
 
 def test_without_optuna_it_is_one_line(workers, capsys, monkeypatch):

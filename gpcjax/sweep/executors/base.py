@@ -3,6 +3,8 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
+    ("begun", seconds, core's)   took so long to import what it needs, and so much of a core: only of a process of its
+                                 own, once
     ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
                                  ("stop",), or of an executor ("again",): this is another sweep, say it again
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end, and a
@@ -15,6 +17,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("compiling", whether)       XLA begins with a program, or has it
     ("note", line)               has something to tell the person
     ("failed", line, text)       its last word: an error in one line, and its full text or ""
+    ("refused", line)            its last word: what a person asked for cannot be done, as a `UserError` says it
     ("theirs", ...)              its last word: the arguments of a `ForeignError`
 
 Only those of `ASKS` are answered; the answer to all others is None, and nothing needs to be sent back.
@@ -49,6 +52,8 @@ class Totals:
     episodes: int = 0
     compile_seconds: float = 0.0
     compilations: int = 0
+    kept: int = 0
+    """Of these programs, those that are kept, so that nobody compiles them again."""
     processor_seconds: float = 0.0
     """Of a worker's process, since it began."""
     paces: tuple[Pace, ...] = ()

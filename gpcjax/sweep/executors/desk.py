@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from gpcjax.errors import Failure, ForeignError
+from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Place
@@ -37,8 +37,6 @@ class _Heard:
     """When its time was last put down to its program."""
     told: float | None = None
     """When it last said what it has done."""
-    ready: bool = False
-    """Whether it has said anything."""
     compiling_since: float | None = None
     baseline: tuple[str, str] | None = None
     """What it measures now."""
@@ -89,9 +87,9 @@ class Desk:
         self._done = Totals()
         """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
         self._copies = False
-        self._began, self._starts = time.monotonic(), starts
+        self._began, self._starts, self._is_there = time.monotonic(), starts, False
         self.started: float | None = None
-        """Seconds of a core until the last worker was there."""
+        """Seconds of a core until a worker was there, of those that were started for this sweep."""
         self._crowd, self._noted = Crowd(), 0.0
         self._note_times()
         self._lock = threading.Lock()
@@ -117,6 +115,7 @@ class Desk:
 
         Raises:
             Failure: the worker says that it failed.
+            UserError: it says that what a person asked for cannot be done, or that somebody else's code failed.
             Stopped: a signal came in, within `stopping.deferred`.
         """
         with self._lock:
@@ -167,8 +166,9 @@ class Desk:
 
     def _answer(self, worker: int, message: Message) -> Message | None:
         match message:
-            case ("begun", seconds, processor):
+            case ("begun", float() as seconds, float() as processor):
                 self._crowd.begin(seconds, processor)
+                self.started = max(self.started or 0.0, processor)
             case ("ready",):
                 return self._next_program(worker)
             case ("next",):
@@ -192,14 +192,15 @@ class Desk:
                 self._on_note(line)
             case ("failed", line, details):
                 raise Failure(f"a worker process failed: {line}", details)
+            case ("refused", str() as line):
+                raise UserError(line)
             case ("theirs", *arguments):
                 raise ForeignError(*arguments)
         return None
 
     def _next_program(self, worker: int) -> Message:
         heard, measures = self._heard[worker], worker == self.workers - 1
-        if not heard.ready:
-            heard.ready, self.started = True, (time.monotonic() - self._began) / self._crowd.slowness
+        self._is_there = True
         self._sharing.leave(worker)
         cell = None if self._measure and measures else self._sharing.next_program(worker)
         if cell is not None:
@@ -252,13 +253,14 @@ class Desk:
             done.episodes + progress.episodes - before.episodes,
             done.compile_seconds + progress.compile_seconds - before.compile_seconds,
             done.compilations + progress.compilations - before.compilations,
+            done.kept + progress.kept - before.kept,
         )
         program = self._sharing.at(worker)
         if program is None:
             return
         work, compiled = self._sharing.works[program], progress.compile_seconds - before.compile_seconds
         work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
-        work.compilations += progress.compilations - before.compilations
+        work.kept += progress.kept - before.kept
         if progress.env_steps > before.env_steps:
             self._sharing.steps(worker)
         work.paces.take(worker, progress.paces)
@@ -276,8 +278,7 @@ class Desk:
         if now - self._noted < NOTE_SECONDS:
             return
         self._noted, slowness = now, self._crowd.slowness
-        waiting = not all(heard.ready for heard in self._heard)
-        ready_in = overdue(slowness * self._starts, now - self._began) if waiting else 0.0
+        ready_in = 0.0 if self._is_there else overdue(slowness * self._starts, now - self._began)
         for work in self._sharing.works.values():
             work.slowness, work.machine = slowness, self._crowd.machine
             work.ready_in, work.compiling_for = ready_in, 0.0

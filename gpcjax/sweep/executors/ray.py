@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from gpcjax.errors import Failure, UserError
+from gpcjax.installed import require_set_up
 from gpcjax.sweep import stopping
 from gpcjax.sweep.executors.crew import Crew
 from gpcjax.sweep.executors.desk import Desk
@@ -53,6 +54,7 @@ class Ray:
 
     def __init__(self, address: str | None = None, jobs: int | None = None):
         if importlib.util.find_spec("ray") is None:
+            require_set_up()
             raise UserError("engine ray: Ray is not installed: pip install 'gpcjax[cluster]'")
         self._address, self._jobs = address, jobs
         self._ray: Any = None

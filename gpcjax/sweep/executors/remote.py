@@ -33,7 +33,7 @@ from gpcjax.sweep.parcel import CODE, Parcel, pack, unpack
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.versions import source_digest, versions
 
-LAST = ("failed", "theirs", "ended")
+LAST = ("failed", "refused", "theirs", "ended")
 """First words of messages after which nothing comes."""
 
 

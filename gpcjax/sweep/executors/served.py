@@ -13,7 +13,7 @@ import time
 
 def main() -> None:
     """Serves the connection whose descriptor is the first argument; the second one is the parent's process."""
-    began = time.monotonic()
+    began = time.monotonic(), time.process_time()
     die_with_parent(int(sys.argv[2]))
     from multiprocessing.connection import Connection
 
@@ -33,7 +33,7 @@ def main() -> None:
 
     from gpcjax.sweep.worker import work
 
-    say(("begun", time.monotonic() - began, time.process_time()))
+    say(("begun", time.monotonic() - began[0], time.process_time() - began[1]))
     if not work(say):
         raise SystemExit(1)
 

@@ -1,0 +1,105 @@
+"""Sweeps in shards that grow: also by little, and where a shard is lost."""
+
+import shutil
+
+import pytest
+
+from gpcjax import cli
+from gpcjax.errors import UserError
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.merging import merge
+from gpcjax.sweep.reading import read_episodes
+from gpcjax.sweep.run import sweep
+from gpcjax.sweep.shards import Shard
+from tests.sweep.pretended import Pretended
+
+SETTINGS = {"env": "mountaincar", "algo": "coach", "episodes": 3}
+
+
+@pytest.fixture(autouse=True)
+def pretended(monkeypatch):
+    pretended = Pretended()
+    monkeypatch.setattr(run_module, "Processes", pretended)
+    return pretended
+
+
+def run(out, number, **settings):
+    return sweep(out, **SETTINGS, **settings, shard=f"{number}/2")
+
+
+def seeds(out):
+    return sorted(set(read_episodes(out)["seed"]))
+
+
+def test_by_fewer_cells_than_shares(tmp_path):
+    out = tmp_path / "o"
+    for settings in ({"seeds": 4}, {"seeds": "0-4"}, {"seeds": "5-5"}):
+        for number in (1, 2):
+            run(out, number, **settings)
+    assert seeds(merge([out])) == [0, 1, 2, 3, 4, 5]
+    assert cli.main(["merge", str(out)]) == 0
+    with pytest.raises(UserError, match="shard 1/2: there are 1 cells only, give i/n with n up to that"):
+        run(tmp_path / "new", 1, seeds=1)
+
+
+@pytest.mark.parametrize(
+    ("before", "last"),
+    [
+        ([{"seeds": 4}], {"seeds": 8}),
+        ([{"seeds": 4}], {"seeds": "4-7"}),
+        ([{"seeds": 4}, {"seeds": 6}], {"seeds": 6, "beta": [3, 5]}),
+        ([{"seeds": 4}, {"seeds": 6}], {"seeds": "9-9"}),
+    ],
+)
+def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, before, last):
+    out, expected = tmp_path / "o", tmp_path / "expected"
+    for whole in (out, expected):
+        for settings in [*before, last]:
+            for number in (1, 2):
+                run(whole, number, **settings)
+    shutil.rmtree(Shard(2, 2).folder(out))
+    capsys.readouterr()
+    again = run(out, 2, **last)
+    assert f"gpcjax: {again}: the other shards were asked for other things before" in capsys.readouterr().err
+    manifest = read_manifest(again)
+    assert manifest["complete"] and manifest["asked"] == read_manifest(Shard(2, 2).folder(expected))["asked"]
+    assert read_episodes(merge([out])).equals(read_episodes(merge([expected])))
+
+
+def test_a_new_one_grows_with_the_others(tmp_path):
+    """What is asked for next was not asked of the others yet."""
+    out = tmp_path / "o"
+    run(out, 1, seeds=4)
+    run(out, 2, seeds=8)
+    run(out, 1, seeds=8)
+    assert seeds(merge([out])) == [*range(8)]
+
+
+def test_those_of_another_sweep_are_none(tmp_path):
+    out = tmp_path / "o"
+    run(out, 1, seeds=4)
+    sweep(out, **SETTINGS | {"episodes": 4}, seeds=4, shard="2/2")
+    with pytest.raises(UserError, match=r"2-of-2: it is a shard of another sweep than .*1-of-2$"):
+        merge([out])
+
+
+def test_elsewhere_the_refusal_says_what_to_do(tmp_path):
+    """Shards on disks of their own know nothing of each other."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    for settings in ({"seeds": 4}, {"seeds": 8}):
+        run(one, 1, **settings)
+    folders = [Shard(1, 2).folder(one), run(other, 2, seeds=8)]
+    message = r"2-of-2: it was not asked for the same things as .*1-of-2, one after the other: run it again into a new "
+    with pytest.raises(
+        UserError, match=message + r"folder with the commands that `gpcjax show` tells of that one"
+    ):
+        merge(folders, tmp_path / "whole")
+    shutil.rmtree(other)
+    run(other, 2, seeds=4)
+    with pytest.raises(
+        UserError, match=r"2-of-2: it was asked for less than .*1-of-2: give it the later commands"
+    ):
+        merge(folders, tmp_path / "whole")
+    run(other, 2, seeds=8)
+    assert seeds(merge(folders, tmp_path / "whole")) == [*range(8)]
