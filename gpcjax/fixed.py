@@ -7,6 +7,7 @@ in, and need not know that.
 
 import dataclasses
 import functools
+import types
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -79,6 +80,5 @@ def _with_static(kind: type[Any], names: tuple[str, ...]) -> type[Any]:
 
     same = {name: getattr(kind, name) for name in ("__module__", "__qualname__", "__doc__")}
     annotations = {name: declared[name].type for name in names}
-    return type(kind)(
-        kind.__name__, (kind,), {**same, **fields, "__annotations__": annotations, "__reduce__": reduced}
-    )
+    body = {**same, **fields, "__annotations__": annotations, "__reduce__": reduced}
+    return types.new_class(kind.__name__, (kind,), exec_body=lambda namespace: namespace.update(body))

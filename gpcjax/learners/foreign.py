@@ -13,7 +13,7 @@ from gpcjax.learners.base import Learner
 from gpcjax.making import Maker, told_apart
 from gpcjax.own_settings import settings_from
 
-_SIZES = ("obs_size", "action_size")
+_SIZES: tuple[str, ...] = ("obs_size", "action_size")
 
 _TRIED = ((1, 1), (2, 1), (4, 2), (16, 8))
 """Sizes for which a learner is made to see what it is, until one is taken: some need more than one of a kind."""
@@ -65,6 +65,7 @@ def check_sizes(name: str, learner: Learner, asked: Mapping[str, Any]) -> None:
 
 def _sizes_taken(make: Maker[Learner]) -> dict[str, int]:
     """The first sizes for which it can be made, the last of all if there are none."""
+    sizes: dict[str, int] = {}
     for tried in _TRIED:
         sizes = dict(zip(_SIZES, tried, strict=True))
         try:

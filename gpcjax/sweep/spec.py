@@ -182,10 +182,11 @@ def make_spec(given: Mapping[str, Given | Unchecked], *, live: bool = False) -> 
 
 def _known(name: str, setting: Given | Unchecked, own: Mapping[str, tuple[Setting, ...]]) -> Given:
     """The setting, checked by those of the sweep that have it, if it is none of the built-in ones."""
+    if isinstance(setting, Given) and (name not in own or name not in OPTIONS):
+        return setting
     if isinstance(setting, Given):
-        if name not in own or name not in OPTIONS:
-            return setting
         setting = getattr(setting, "unchecked", None) or Unchecked(setting.value, setting.source, name)
+    assert isinstance(setting, Unchecked)
     if name not in own and name in OPTIONS:
         return Given(checked_as(OPTIONS[name], setting), setting.source)
     if name not in own:

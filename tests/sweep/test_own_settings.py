@@ -28,7 +28,7 @@ from gpcjax.sweep.rehearsal import check_alike
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import QUICK, make_spec, read_toml, spec_of
 from gpcjax.teach.course import Course
-from tests.foreign.drifting import Drift, Linear, Loud, expert
+from tests.foreign.drifting import Linear, Loud
 
 HERE = __name__
 USUAL = {"env": "tests.foreign.drifting:Drift", "oracle": "tests.foreign.drifting:expert", "rate": 0.3}
@@ -263,10 +263,10 @@ def needs(obs_size, action_size, step_size=0.5):
     return Linear(obs_size=obs_size, action_size=action_size, step_size=step_size)
 
 
-def only_seven(obs_size, action_size):
-    if obs_size != 7:
-        raise ValueError("seven sensors, or none")
-    return Linear(obs_size=7, action_size=action_size)
+def only_three(obs_size, action_size):
+    if obs_size != 3:
+        raise ValueError("three sensors, or none")
+    return Linear(obs_size=3, action_size=action_size)
 
 
 def its_own_size(obs_size, action_size):
@@ -277,19 +277,16 @@ def more_than_sizes(obs_size, action_size, budget):
     return Linear(obs_size=obs_size, action_size=action_size)
 
 
-SEVEN = gpcjax.TaskSpec(name=f"{HERE}:SEVEN", make=Drift, sizes=(7, 1), experts={"own": expert})
-
-
 def test_a_learner_that_needs_other_sizes_than_one():
     """It is seen what it is where it can be made: for some small sizes, or for those of the task."""
     (setting,) = find("learner", f"{HERE}:needs").settings
     assert setting.compiled == "no"
     assert spec_of(env="cartpole", algo=f"{HERE}:needs", seeds=1)
-    assert spec_of(env=f"{HERE}:SEVEN", algo=f"{HERE}:only_seven", seeds=1)
+    assert spec_of(env="pendulum", algo=f"{HERE}:only_three", seeds=1)
     with pytest.raises(
-        ForeignError, match=r"only_seven: it cannot be made \(ValueError: seven sensors, or none\)"
+        ForeignError, match=r"only_three: it cannot be made \(ValueError: three sensors, or none\)"
     ):
-        spec_of(env="pendulum", algo=f"{HERE}:only_seven")
+        spec_of(env="mountaincar", algo=f"{HERE}:only_three")
     with pytest.raises(ForeignError, match=r"more_than_sizes: it cannot be made \(TypeError: .*'budget'\)"):
         find("learner", f"{HERE}:more_than_sizes")
 
@@ -300,3 +297,29 @@ def test_a_learner_has_the_sizes_that_were_asked_for():
     with pytest.raises(UserError, match="its_own_size: it makes a learner of obs_size 3 where 4 is needed"):
         spec_of(env="cartpole", algo=f"{HERE}:its_own_size")
     assert spec_of(env="pendulum", algo=f"{HERE}:its_own_size")
+
+
+class Doubled(Linear):
+    def measure(self, state):
+        return {"step_size": self.step_size}
+
+
+@pytest.mark.parametrize(
+    ("algo", "settings", "message"),
+    [
+        (
+            "Doubled",
+            {"step_size": [0.1, 0.2]},
+            r"Doubled.measure: step_size is a setting of this learner that varies",
+        ),
+        (
+            "GAIN",
+            {"gain": [1, 2]},
+            r"GAIN: what it is made of is another with each run: give its Setting compiled=",
+        ),
+    ],
+)
+def test_a_sweep_says_it_as_a_mistake(algo, settings, message, tmp_path, workers_in_process):
+    """Of the person's, with status 2: what a worker refuses is no fault of gpcjax."""
+    with pytest.raises(UserError, match=message):
+        sweep(tmp_path / "out", **USUAL, algo=f"{HERE}:{algo}", seeds=1, episodes=1, **settings)
