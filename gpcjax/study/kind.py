@@ -41,9 +41,10 @@ class Kind:
         self.prior = prior if prior > 0 else None
         size = learner.obs_size
         axes = task.view.axes if max(task.view.axes) < size else (0, min(1, size - 1))
-        self.described: dict[str, Any] = described_task(task, learner, bounds(task, size, Tally()), axes)
-        if self.described["scene"] == "pictures":  # each takes longer than the steps of all
-            self.described["scene"] = "signals"
+        # Without pictures: each takes longer than the steps of all.
+        self.described: dict[str, Any] = described_task(
+            task, learner, bounds(task, size, Tally()), axes, pictures=False
+        )
         self.due = math.inf
         """When the next step of all is, by `time.perf_counter`."""
 

@@ -7,8 +7,10 @@ from gpcjax.learners.base import Learner, State
 from gpcjax.learners.carried import carried
 from gpcjax.learners.saved import load_learner
 from gpcjax.policies.folder import write_folder
+from gpcjax.registry import built_in, find
 from gpcjax.sweep.build import learner_of, pack_learned
 from gpcjax.sweep.learned import learned_of
+from gpcjax.sweep.rehearsal import rehearse_learner
 from gpcjax.teach.course import DICTIONARY, Course
 from gpcjax.teach.origin import Origin
 
@@ -17,10 +19,18 @@ def beginning(course: Course, start: Path | None, room: int | None = None) -> tu
     """Those in the folder `start`; without one an untaught learner, whose first state is its own affair.
 
     `room` is for how many points it has room at first; for as many as there will be without.
+
+    Raises:
+        UserError: what is in `start` is damaged.
+        ForeignError: a method of a learner of a person's own fails, or gives something else than it should.
     """
     if start is None:
-        return learner_of(course.cell(1), DICTIONARY if room is None else room), None
-    return load_learner(start)
+        learner, state = learner_of(course.cell(1), DICTIONARY if room is None else room), None
+    else:
+        learner, state = load_learner(start)
+    if course.algo not in built_in("learner"):
+        rehearse_learner(course.algo, learner, [each.name for each in find("learner", course.algo).settings])
+    return learner, state
 
 
 def put(origin: Origin, start: Path, course: Course) -> None:

@@ -86,7 +86,7 @@ class Clerk:
 
     def _asked(self, told: Sequence[memoryview]) -> tuple[bool, Exception | None]:
         """Whether it could be read, and what writing it raised."""
-        assert self._process.stdin is not None and self._process.stdout is not None
+        assert self._process.stdin is not None and isinstance(self._process.stdout, BufferedReader)
         self._process.stdin.write(_NUMBER.pack(len(told)))
         for part in told:
             self._process.stdin.write(_NUMBER.pack(part.nbytes))

@@ -10,6 +10,7 @@ import contextlib
 import gc
 import math
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpcjax.errors import Failure, UserError
+from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.lateness import CREDIT
-from gpcjax.registry import find
+from gpcjax.registry import built_in, find
 from gpcjax.sweep.given import Given
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import accept, option_of
@@ -192,33 +193,48 @@ class Lesson:
         alone = self._evaluation
         if alone is None:
             with self._resting_on_problems():
-                self._told(self._taught.step(), "over")
+                self._told(self._taught.step())
                 self._tell.frame(None)
+            if self._taught.broken:
+                with self._resting_on_problems():
+                    self._catch_up()
             return
-        if alone.step():
-            self._tell.episode(alone.index, alone, 0, "over")
-            alone.again()
-        self._tell.frame(alone)
+        with self._teaching_again_on_problems():
+            if alone.step():
+                self._tell.episode(alone.index, alone, 0, "over")
+                alone.again()
+            self._tell.frame(alone)
 
     @property
     def _tell(self) -> "Teller":
         assert self._teller is not None
         return self._teller
 
-    def _told(self, ended: "Episode | None", why: str) -> None:
+    def _told(self, ended: "Episode | None") -> None:
         """Tells of an episode, if one has ended."""
         if ended is not None:
             self._first_of_episode = self._tell.number + 1
-            self._tell.episode(self._taught.episode - 1, ended, ended.corrections, why)
+            self._tell.episode(self._taught.episode - 1, ended, ended.corrections, ended.why)
             self._tell.keep()
 
     @contextlib.contextmanager
     def _resting_on_problems(self) -> Iterator[None]:
         try:
             yield
-        except (UserError, OSError) as error:
-            self._tell.problem(str(error))
+        except Exception as raised:
+            self._tell.problem(_problem(raised, self._taught.course))
             self._pause("problem")
+
+    @contextlib.contextmanager
+    def _teaching_again_on_problems(self) -> Iterator[None]:
+        """The same where the policy runs alone: then it does no longer."""
+        with self._resting_on_problems():
+            try:
+                yield
+            except Exception:
+                self._evaluation, self._standing.mode = None, "teach"
+                self._tell.frame(None)
+                raise
 
     def _tell_preparing(self, what: str) -> None:
         self._say({"type": "preparing", "what": what})
@@ -270,7 +286,8 @@ class Lesson:
         if press.shown and press.shown < self._first_of_episode:
             return  # it was about an episode that is over
         with self._resting_on_problems():
-            self._catch_up()
+            if self._catch_up():
+                return  # so is the episode that it was about
             self._tell.advised(press, self._taught.advise(press, self._credited()))
 
     def _catch_up(self) -> bool:
@@ -278,7 +295,7 @@ class Lesson:
         if not self._taught.behind:
             return False
         ended = self._taught.catch_up()
-        self._told(ended, "over")
+        self._told(ended)
         self._tell.frame(None)
         return ended is not None
 
@@ -291,22 +308,25 @@ class Lesson:
         if self._standing.mode != "teach":
             return
         with self._resting_on_problems():
-            self._catch_up()
             if self._taught.undo():
                 self._tell.undone()
+            if not self._taught.behind:
                 self._tell.frame(None)
+            self._catch_up()  # afterwards, as it may be this advice with which the policy comes to no action
 
     def _reset(self) -> None:
         alone = self._evaluation
         if alone is not None:
-            self._tell.episode(alone.index, alone, 0, "reset")
-            alone.again()
-            self._tell.frame(alone)
+            with self._teaching_again_on_problems():
+                self._tell.episode(alone.index, alone, 0, "reset")
+                alone.again()
+                self._tell.frame(alone)
             return
         with self._resting_on_problems():
-            if self._catch_up():
+            if self._taught.ending:
+                self._catch_up()
                 return
-            self._told(self._taught.end("reset"), "reset")
+            self._told(self._taught.end("reset"))
             self._tell.frame(None)
 
     def _run_alone(self, on: bool) -> None:
@@ -315,14 +335,16 @@ class Lesson:
         if on:
             from gpcjax.teach.evaluation import Evaluation
 
-            policy = self._taught.session.policy()
-            self._evaluation = Evaluation(policy, self._taught.course, self._taught.episode)
-            self._standing.mode = "run"
-            self._go_on()
-        else:
-            self._evaluation, self._standing.mode = None, "teach"
-            self._pause("you")
-        self._tell.frame(self._evaluation)
+            with self._teaching_again_on_problems():
+                policy = self._taught.session.policy()
+                self._evaluation = Evaluation(policy, self._taught.course, self._taught.episode)
+                self._standing.mode = "run"
+                self._go_on()
+                self._tell.frame(self._evaluation)
+            return
+        self._evaluation, self._standing.mode = None, "teach"
+        self._pause("you")
+        self._tell.frame(None)
 
     def _pause(self, why: str) -> None:
         standing = self._standing
@@ -365,13 +387,14 @@ class Lesson:
         try:
             self._folder.mkdir(parents=True)
             self._prepare()
-        except (UserError, OSError) as error:
+        except Exception as raised:
+            problem = _problem(raised, course)
             self._end()
             with contextlib.suppress(OSError):
                 self._folder.rmdir()  # nothing was begun in it
             self._folder, self._course, self._origin = before
             self._prepare()
-            self._tell.problem(str(error))
+            self._tell.problem(problem)
 
 
 def _course_with(course: Course, name: str, settings: dict[str, float]) -> Course:
@@ -389,6 +412,28 @@ def _course_with(course: Course, name: str, settings: dict[str, float]) -> Cours
         given[each] = Given(accept(option_of(known[each]), number, each), each)
     given |= {each: Given((value,), each) for each, value in course.settings if each in CREDIT}
     return Course.of(given, course.seed)
+
+
+def _problem(raised: Exception, course: Course) -> str:
+    """What the page is told of something that cannot be done; the terminal is told where code of theirs failed.
+
+    Raises:
+        Exception: the same, a fault of ours.
+    """
+    error = _of_theirs(raised, course)
+    if not isinstance(error, UserError | OSError):
+        raise raised
+    if isinstance(error, ForeignError) and error.details:
+        print(error.details, file=sys.stderr, flush=True)
+    return str(error)
+
+
+def _of_theirs(error: BaseException, course: Course) -> BaseException:
+    """What was raised; of a learner of a person's own as its own. A task's is told by `World`."""
+    told = isinstance(error, UserError | Failure | OSError) or not isinstance(error, Exception)
+    if told or course.algo in built_in("learner"):
+        return error
+    return ForeignError(f"algo {course.algo}: it fails", error)
 
 
 def _reason(error: BaseException) -> str:

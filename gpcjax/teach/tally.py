@@ -24,6 +24,8 @@ class Episode:
     full: int = 0
     points: tuple[int, int] = (0, 0)
     own: dict[str, float] = field(default_factory=dict)
+    why: str = ""
+    """Why it ended: "over", "reset", "time" of a study's run, or "problem" of a task that failed."""
     obs: list[list[float]] = field(default_factory=list)
     """At each of its steps."""
     actions: list[list[float]] = field(default_factory=list)
@@ -67,8 +69,11 @@ class Tally:
                 episode.rate_sum -= last.rate_sum
                 episode.full -= last.full
                 del self._log[len(self._log) - last.logged :]
-            case {"event": "note", "values": {"ended": str(), "total": float(total), "length": int(length)}}:
-                self.present.total, self.present.length = total, length
+            case {
+                "event": "note",
+                "values": {"ended": str(why), "total": float(total), "length": int(length)},
+            }:
+                self.present.total, self.present.length, self.present.why = total, length, why
                 self.present.points, self.present.own = session.points, session.measure()
                 # The step that the episode ended before was proposed and never executed.
                 if self.finished:  # of the first alone the steps are shown again

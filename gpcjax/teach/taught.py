@@ -3,9 +3,10 @@
 Over 300 lines: what happens live and what is made again count alike, and are read beside each other.
 """
 
+import contextlib
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -16,7 +17,7 @@ from gpcjax.engine.classroom import Classroom
 from gpcjax.engine.course import ROOMS
 from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info
 from gpcjax.learners.recipes import check_recipe
@@ -73,8 +74,10 @@ class Taught:
         self.world = world
         self._moved: Moved | None = None
         """What the task has come to, as long as that could not be written down."""
-        self._noted, self._closed = False, False
-        """How far the end of an episode is written down, as long as that is not done."""
+        self.broken = False
+        """The task has failed at a step: the episode is to end there, as long as that could not be written down."""
+        self._noted, self._closed = "", False
+        """How far the end of an episode is written down, as long as that is not done: why it ends, and that it has."""
 
     @classmethod
     def begin(cls, folder: Path, course: Course, origin: Origin | None = None) -> "Taught":
@@ -172,12 +175,17 @@ class Taught:
         """Executes what is proposed, and proposes at what comes of it; gives the episode if that has ended.
 
         A step that was executed and could not be written down is written down by the next call, and none is executed.
+        A step at which the task fails is none, and the next call ends the episode there.
 
         Raises:
-            UserError: the task gives something else than it declares, or the recording cannot be written.
+            UserError: the task fails, or gives something else than it declares, or the recording cannot be written.
         """
         if not self.behind:
-            moved = self.world.step(self.session.action)
+            try:
+                moved = self.world.step(self.session.action)
+            except UserError:
+                self.broken = True
+                raise
             self.moved(moved)
             self._moved = moved
         return self.catch_up()
@@ -185,7 +193,13 @@ class Taught:
     @property
     def behind(self) -> bool:
         """Whether something has happened that could not be written down yet."""
-        return self._moved is not None or self._noted or self._closed
+        return self._moved is not None or self.ending
+
+    @property
+    def ending(self) -> bool:
+        """Whether that is the end of an episode, or the beginning of the next."""
+        over = self._moved is not None and self._moved.over
+        return self.broken or over or bool(self._noted) or self._closed
 
     def catch_up(self) -> Episode | None:
         """Writes down what could not be before; gives the episode if that has ended then.
@@ -193,8 +207,8 @@ class Taught:
         Raises:
             UserError: it cannot be written yet.
         """
-        if self._noted or self._closed or (self._moved is not None and self._moved.over):
-            return self.end("over")
+        if self.ending:
+            return self.end("problem" if self.broken else "over")
         if self._moved is not None:
             self._propose(self._moved.obs)
             self._moved = None
@@ -215,9 +229,7 @@ class Taught:
         Raises:
             UserError: it cannot be written down; the next call goes on where this one came to.
         """
-        if not self._closed:
-            self.close(why)
-            self._closed, self._moved = True, None
+        self._close(why)
         self.begin_episode()
         self._closed = False
         return self.tally.finished[-1]
@@ -229,12 +241,12 @@ class Taught:
     def close(self, why: str) -> Episode:
         """Ends the episode, and begins none."""
         present = self.present
-        values = {"ended": why, "total": present.total, "length": present.length}
+        values = {"ended": self._noted or why, "total": present.total, "length": present.length}
         if not self._noted:
             self.session.note(**values)
-            self._noted = True
+            self._noted = why
         self.session.end_episode()
-        self._noted = False
+        self._noted = ""
         self.tally.hear(self.session, {"event": "note", "values": values}, None)
         return present
 
@@ -255,7 +267,13 @@ class Taught:
         return Advised(done.info, self.session.step, np.asarray(about), before, after)
 
     def undo(self) -> bool:
-        """Takes the latest advice back; False if there is none."""
+        """Takes the latest advice back; False if there is none.
+
+        Raises:
+            UserError: it cannot be written down; nothing was taken back then.
+        """
+        if self._noted:  # what the note says of the episode is as it was before
+            self._close(self._noted)
         done = self.session.undo()
         self.tally.hear(self.session, {"event": "undo"}, done)
         return done
@@ -299,24 +317,29 @@ class Taught:
 
         return kept
 
+    def _close(self, why: str) -> None:
+        if not self._closed:
+            self.close(why)
+            self._closed, self.broken, self._moved = True, False, None
+
     def _propose(self, obs: np.ndarray) -> None:
         self.session.propose(obs)
         self.proposed()
 
     def _follow(self, session: Session, recorded: list[float]) -> None:
         """Moves the task to the step that a recording tells of."""
+        place = f"episode {session.episode}, step {session.step}"
         if session.step == 0:
-            obs = self.world.begin(session.episode)
+            with _at(place):
+                obs = self.world.begin(session.episode)
         else:
-            moved = self.world.step(np.asarray(self.present.actions[-1]))
+            with _at(place):
+                moved = self.world.step(np.asarray(self.present.actions[-1]))
             obs = moved.obs
             self.present.total += moved.reward
             self.present.length += 1
         if obs.tolist() != recorded:
-            raise UserError(
-                f"episode {session.episode}, step {session.step}: the task was at {recorded}, "
-                f"here it is at {obs.tolist()}"
-            )
+            raise UserError(f"{place}: the task was at {recorded}, here it is at {obs.tolist()}")
 
     def _compare(self, values: Mapping[str, Any]) -> None:
         """That an episode came to what was written down of it."""
@@ -324,9 +347,22 @@ class Taught:
             return
         total = self.present.total
         if values["length"] == len(self.present.obs):  # the last step was executed, too
-            total += self.world.step(np.asarray(self.present.actions[-1])).reward
+            with _at(f"episode {self.episode}, its last step"):
+                total += self.world.step(np.asarray(self.present.actions[-1])).reward
         if total != values["total"]:
             raise UserError(f"episode {self.episode}: it returned {values['total']}, it is {total} here")
+
+
+@contextlib.contextmanager
+def _at(place: str) -> Iterator[None]:
+    """What a task refuses while it is made again is told with its place."""
+    try:
+        yield
+    except ForeignError as error:
+        message, *rest = error.arguments
+        raise ForeignError(f"{place}: {message}", *rest) from None
+    except UserError as error:
+        raise UserError(f"{place}: {error}") from None
 
 
 class _Progress:

@@ -26,6 +26,7 @@ from gpcjax.teach.telling import (
     finite,
     packed,
 )
+from gpcjax.teach.world import Picture
 
 if TYPE_CHECKING:
     from gpcjax.teach.tally import Episode
@@ -58,7 +59,7 @@ class Teller:
         prior = float(session.learner.largest_sigma())
         self._prior = prior if prior > 0 else None
         self._lines: dict[str, float | None] | None = None
-        self._painted = 0.0
+        self._painted, self._pictures = 0.0, self.task.view.scene == ""
         size = session.learner.obs_size
         self._axes = self.task.view.axes if max(self.task.view.axes) < size else (0, min(1, size - 1))
         self._chart = (*self._axes, 0)
@@ -70,10 +71,12 @@ class Teller:
         """Compiles and measures what is told, before anybody waits for a step; then tells everything."""
         self._clerk = Clerk()
         self._draw_chart()
+        if self._pictures:
+            self._pictures = self._picture(self._taught) is not None
         try:
             self._measure_lines()
-        except (UserError, ValueError) as error:
-            self.problem(str(error))
+        except Exception as error:  # of a task or an expert of a person's own: it is taught without
+            self.problem(f"the lines of the expert and of doing nothing are missing: {_words(error)}")
         self.everything()
 
     def close(self) -> None:
@@ -139,7 +142,7 @@ class Teller:
             late=round(self._standing.late, 2),
         )
         now = time.perf_counter()
-        if self.task.view.scene == "" and now - self._painted > PICTURES_APART:
+        if self._pictures and now - self._painted > PICTURES_APART:
             self._painted = now
             self._paint(alone or taught)
 
@@ -190,7 +193,9 @@ class Teller:
         tally, course = taught.tally, taught.course
         return {
             "type": "task",
-            "task": described_task(self.task, taught.session.learner, self._bounds(), self._axes),
+            "task": described_task(
+                self.task, taught.session.learner, self._bounds(), self._axes, self._pictures
+            ),
             "learner": described_learner(course.algo, self.task, dict(course.settings)),
             "learners": [described_learner(name, self.task, {}) for name in self.learners()],
             "repeat": self._options.repeat,
@@ -282,9 +287,22 @@ class Teller:
 
     def _paint(self, shown: Taught | Evaluation) -> None:
         """A picture of the task as it is now: made here, as its libraries want one thread, and packed elsewhere."""
-        image, number = shown.picture(), self.number
+        image, number = self._picture(shown), self.number
         if image is not None:
             self._painter.ask("picture", lambda: self._say_raw(packed(number, image)))
 
+    def _picture(self, shown: Taught | Evaluation) -> Picture | None:
+        try:
+            return shown.picture()
+        except UserError as error:  # it is taught without, and not asked at each step
+            self._pictures = False
+            self.problem(f"there are no pictures: {error}")
+            return None
+
     def _failed(self, error: Exception) -> None:
-        self.problem(str(error) or type(error).__name__)
+        self.problem(_words(error))
+
+
+def _words(error: Exception) -> str:
+    told = isinstance(error, UserError | OSError) and str(error)
+    return str(error) if told else f"{type(error).__name__}: {error}"

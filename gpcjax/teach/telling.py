@@ -33,16 +33,21 @@ MAIN = ("policy_length_scale", "human_length_scale", "constant_rate", "magnitude
 
 
 def described_task(
-    task: TaskSpec, learner: Learner, low_high: Float[np.ndarray, "obs 2"], axes: tuple[int, int]
+    task: TaskSpec,
+    learner: Learner,
+    low_high: Float[np.ndarray, "obs 2"],
+    axes: tuple[int, int],
+    pictures: bool | None = None,
 ) -> dict[str, Any]:
-    """Of a task."""
+    """Of a task; `pictures` is whether any come of one without a scene of ours, which otherwise is what it says."""
     view = task.view
     names = [name for name, _, _ in view.observed] or [
         f"observation {i + 1}" for i in range(learner.obs_size)
     ]
     actions = [_control(task, dim) for dim in range(learner.action_size)]
     env = make_env(task.name)
-    scene = view.scene or ("pictures" if makes_pictures(env) else "signals")
+    shows = makes_pictures(env) if pictures is None else pictures
+    scene = view.scene or ("pictures" if shows else "signals")
     return {
         "name": task.name,
         "label": task.title,
@@ -126,7 +131,7 @@ def episode_of(index: int, episode: Episode) -> dict[str, Any]:
         "steps": episode.length,
         "corrections": episode.corrections,
         "mode": "teach",
-        "why": "over",
+        "why": episode.why,
     }
 
 

@@ -1,7 +1,9 @@
 """One simulation that a person watches: of a compiled task, or of one that gymnasium simulates, step by step."""
 
+import contextlib
 import functools
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,10 +13,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gpcjax._x64 import under_own_settings
+from gpcjax.allowed import shown
 from gpcjax.engine import streams
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv, Simulation
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -51,49 +54,86 @@ class World:
         return self._env.obs_size, self._env.action_size
 
     def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
-        """The first observation of this episode, from 0."""
-        if self._simulation is not None:
-            return self._simulation.reset(_reset_seed(self._seed, episode))
-        assert isinstance(self._env, Env)
-        self._state = _started(self._env, jnp.asarray(self._seed), jnp.asarray(episode))
-        return np.array(self._state.obs)
+        """The first observation of this episode, from 0.
+
+        Raises:
+            UserError: the task gives something else than it declares, or what is no number.
+            ForeignError: it fails.
+        """
+        state = None
+        with _theirs(self._env, "reset"):
+            if self._simulation is not None:
+                obs = self._simulation.reset(_reset_seed(self._seed, episode))
+            else:
+                assert isinstance(self._env, Env)
+                state = _started(self._env, jnp.asarray(self._seed), jnp.asarray(episode))
+                obs = np.array(state.obs)
+        if not np.isfinite(obs).all():
+            raise _no_numbers("the reset", obs)
+        self._state = state
+        return obs
 
     def step(self, action: Float[np.ndarray, " action"]) -> Moved:
         """What comes of an action in [-1, 1].
 
-        Raises:
-            UserError: the task gives something else than it declares, or a reward that is no number.
+        What raises leaves a compiled task at the step before; one of gymnasium is somewhere else then, and only `begin`
+        leads back to a known step.
+
+        Raises: as `begin`, also for a reward that is no number.
         """
-        moved = self._step(action)
-        if (wrong := wrong_reward(moved)) is not None:
+        with _theirs(self._env, "step"):
+            state, moved = self._stepped(action)
+        if (wrong := wrong_move(moved)) is not None:
             raise wrong
+        self._state = state
         return moved
 
-    def _step(self, action: Float[np.ndarray, " action"]) -> Moved:
+    def _stepped(self, action: Float[np.ndarray, " action"]) -> tuple[State | None, Moved]:
         if self._simulation is not None:
             assert isinstance(self._env, HostEnv)
             outcome = self._simulation.step(self._env.scaled(action))
             obs = np.asarray(outcome.obs, np.float64)
-            return Moved(obs, outcome.reward, outcome.terminated or outcome.truncated)
+            return None, Moved(obs, outcome.reward, outcome.terminated or outcome.truncated)
         assert isinstance(self._env, Env) and self._state is not None
         state = _stepped(self._env, self._state, action)
-        self._state = state
         over = bool(state.terminated) or bool(state.truncated)
-        return Moved(np.array(state.obs), float(state.reward), over)
+        return state, Moved(np.array(state.obs), float(state.reward), over)
 
     def picture(self) -> Picture | None:
-        """What it looks like now; None of a task that makes no pictures."""
-        if self._simulation is not None:
-            return self._simulation.picture()
-        render = getattr(getattr(self._env, "task", self._env), "render", None)
-        return _as_picture(render(self._state)) if callable(render) else None
+        """What it looks like now; None of a task that makes no pictures. Raises ForeignError: it fails."""
+        with _theirs(self._env, "render"):
+            if self._simulation is not None:
+                return self._simulation.picture()
+            render = getattr(getattr(self._env, "task", self._env), "render", None)
+            return _as_picture(render(self._state)) if callable(render) else None
 
 
-def wrong_reward(moved: Moved) -> UserError | None:
-    """What to say of a reward that no return can be counted with; None of any other."""
-    if math.isfinite(moved.reward):
-        return None
-    return UserError(f"a step of the task gave the reward {moved.reward}, its reward must be a finite number")
+def wrong_move(moved: Moved) -> UserError | None:
+    """What to say of a step that cannot be taught at or counted with; None of any other."""
+    if not math.isfinite(moved.reward):
+        return UserError(
+            f"a step of the task gave the reward {moved.reward}, its reward must be a finite number"
+        )
+    if not np.isfinite(moved.obs).all():
+        return _no_numbers("a step", moved.obs)
+    return None
+
+
+def _no_numbers(what: str, obs: Float[np.ndarray, " obs"]) -> UserError:
+    return UserError(
+        f"{what} of the task gave the observation {shown(obs.tolist())}, each entry must be finite"
+    )
+
+
+@contextlib.contextmanager
+def _theirs(env: Env | HostEnv, method: str) -> Iterator[None]:
+    """What a task raises is told as its own."""
+    try:
+        yield
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise ForeignError(f"env {env.name}: its {method} fails", error) from None
 
 
 def makes_pictures(env: Env | HostEnv) -> bool:

@@ -19,7 +19,7 @@ from gpcjax.engine.classroom import lanes_for
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
-from gpcjax.teach.world import Moved, World, wrong_reward
+from gpcjax.teach.world import Moved, World, wrong_move
 
 
 class Worlds:
@@ -146,7 +146,7 @@ def step_together(
     """The step of each of these simulations of one block; what one of them raised in its place."""
     if isinstance(worlds.env, Env):
         lanes = [place.lane for place in places if isinstance(place, Place)]
-        return [wrong_reward(moved) or moved for moved in worlds.step(lanes, actions)]
+        return [wrong_move(moved) or moved for moved in worlds.step(lanes, actions)]
     found: list[Moved | UserError] = []
     for place, action in zip(places, actions, strict=True):
         try:

@@ -21,15 +21,13 @@ ROOT = Path(__file__).parents[2]
 class Held:
     """A lesson, and all that it has told."""
 
-    def __init__(self, folder, origin=None, fresh=True):
+    def __init__(
+        self, folder, origin=None, fresh=True, env=ENV, algo="gpc-ns", oracle="tests.teach.drifting:expert"
+    ):
         self.told = []
         folder.mkdir(exist_ok=True)
-        course = (
-            Course.of({"env": Given(ENV, "env"), "algo": Given(("gpc-ns",), "algo")}, 5) if fresh else None
-        )
-        self.lesson = Lesson(
-            folder, course, origin, Options(oracle="tests.teach.drifting:expert"), self._hear
-        )
+        course = Course.of({"env": Given(env, "env"), "algo": Given((algo,), "algo")}, 5) if fresh else None
+        self.lesson = Lesson(folder, course, origin, Options(oracle=oracle), self._hear)
         self.lesson.start()
         assert self.lesson.ready.wait(300)
         assert self.lesson.failure is None
@@ -216,6 +214,101 @@ def test_two_lessons_in_one_folder(held):
     other.ready.wait(60)
     other.close()
     assert "in use" in str(other.failure) or "writes" in str(other.failure) or "another" in str(other.failure)
+
+
+class TestFailing:
+    """Code of a person's own that fails on the way: it is said, the lesson rests, and goes on."""
+
+    @pytest.fixture
+    def begun(self, tmp_path):
+        begun = []
+
+        def begin(**words):
+            begun.append(Held(tmp_path / f"taught-{len(begun)}", **words))
+            return begun[-1]
+
+        yield begin
+        for each in begun:
+            each.lesson.close()
+            assert each.lesson.failure is None
+
+    @pytest.mark.parametrize(
+        ("task", "said"),
+        [pytest.param("Odd", "reward nan", marks=pytest.mark.slow), ("Broken", "a wheel came off")],
+    )
+    def test_a_task(self, begun, task, said, capfd):
+        held = begun(env=f"tests.teach.failing:{task}")
+        assert held.wait("task")["task"]["scene"] == "signals"
+        assert "no paint" in held.wait("problem")["text"]
+        for _ in range(2):
+            held.forget()
+            held.ask("pause", on=False)
+            assert said in held.wait("problem")["text"]
+            ended = held.wait("episode", lambda episode: episode["why"] == "problem")
+            assert ended["steps"] == 4
+            held.wait("state", _rests_on_a_problem)
+            held.wait("frame", lambda frame, next_=ended["index"] + 1: frame["episode"] == next_)
+        assert len(held.messages("problem")) == 1
+        held.forget()
+        held.ask("pause", on=False)
+        held.wait("state", lambda state: not state["paused"])
+        held.ask("run", on=True)
+        assert said in held.wait("problem")["text"]
+        held.wait("frame", lambda frame: frame["mode"] == "teach")
+        held.wait("state", _rests_on_a_problem)
+        held.press(3)
+        held.wait("advised")
+        if task == "Broken":
+            assert 'raise RuntimeError("a wheel came off")' in capfd.readouterr().err  # where, to its author
+
+    @pytest.mark.slow
+    def test_an_episode_that_cannot_begin(self, begun, monkeypatch):
+        held = begun()
+        with monkeypatch.context() as patch:
+            patch.setattr("gpcjax.teach.world._started", _failing)
+            for ask in (("reset", {}), ("pause", {"on": False}), ("run", {"on": True}), ("undo", {})):
+                held.forget()
+                held.ask(ask[0], **ask[1])
+                assert "reset fails (RuntimeError: no road)" in held.wait("problem")["text"]
+                held.wait("state", _rests_on_a_problem)
+        held.forget()
+        held.ask("pause", on=False)
+        held.wait("frame", lambda frame: frame["episode"] == 1 and frame["step"] > 0)
+
+    def test_a_learner(self, begun):
+        held = begun(algo="tests.teach.failing:Refusing")
+        held.press(1, h=-1)
+        assert "Refusing: it fails" in held.wait("problem")["text"]
+        held.press(2, h=1)
+        assert held.wait("advised")["corrections"] == 1
+
+    def test_a_policy_that_comes_to_no_number(self, begun):
+        """What made it so can be taken back."""
+        held = begun(algo="tests.teach.failing:Diverging")
+        held.press(1)
+        for kind, values in (("step", {}), ("reset", {}), ("run", {"on": True})):
+            held.forget()
+            held.ask(kind, **values)
+            assert "is no number" in held.wait("problem")["text"]
+        held.ask("undo")
+        held.wait("undone")
+        held.forget()
+        held.ask("pause", on=False)
+        held.wait("frame", lambda frame: frame["episode"] == 1 and frame["step"] > 0)
+
+    @pytest.mark.slow
+    def test_an_expert(self, begun):
+        held = begun(oracle="tests.teach.failing:expert")
+        assert "the lines" in held.wait("problem")["text"]
+        assert held.wait("task")["lines"]["oracle"] is None
+
+
+def _rests_on_a_problem(state):
+    return state["paused"] and state["why"] == "problem" and state["mode"] == "teach"
+
+
+def _failing(*words):
+    raise RuntimeError("no road")
 
 
 def command(*words):

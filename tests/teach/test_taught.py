@@ -2,13 +2,14 @@
 
 import contextlib
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.errors import UserError
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.recording import RECORD, Recording
 from gpcjax.registry import find
 from gpcjax.sweep.given import Given
@@ -18,14 +19,13 @@ from gpcjax.teach.course import COURSE, POLICY, SAVES, Course, new_folder
 from gpcjax.teach.evaluation import Evaluation
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Taught
-from gpcjax.teach.world import Moved, World
 
 ENV = "tests.teach.drifting:Drift"
 
 
-def course(seed=5, **settings):
+def course(seed=5, env=ENV, **settings):
     given = {name: Given(value, name) for name, value in settings.items()}
-    return Course.of({"env": Given(ENV, "env"), **given}, seed)
+    return Course.of({"env": Given(env, "env"), **given}, seed)
 
 
 def press(number, h=1, dim=0):
@@ -362,14 +362,120 @@ def test_what_never_began_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
-def test_a_reward_that_is_no_number_is_said(tmp_path, monkeypatch, reward):
-    taught = Taught.begin(tmp_path, course())
-    with monkeypatch.context() as patch:
-        patch.setattr(World, "_step", lambda self, action: Moved(np.zeros(2), reward, False))
-        with pytest.raises(UserError, match="reward must be a finite number"):
+class TestFailing:
+    """A task that fails at a step, or gives what is no number: the episode ends there, and the recording is whole."""
+
+    @pytest.mark.parametrize(
+        ("task", "said"),
+        [
+            ("Odd", "reward nan, its reward must be a finite number"),
+            ("Unseen", "each entry must be finite"),
+            ("Broken", "its step fails .RuntimeError: a wheel came off"),
+        ],
+    )
+    def test_the_episode_ends_there(self, tmp_path, task, said):
+        taught = Taught.begin(tmp_path, course(env=f"tests.teach.failing:{task}"))
+        problems = 0
+        while problems < 2 or taught.episode < 4:
+            try:
+                taught.step()
+            except UserError as error:
+                assert re.search(said, str(error))
+                assert taught.broken and taught.present.length == 4
+                problems += 1
+                assert taught.catch_up().why == "problem"
+                taught.advise(press(problems), 0)
+        done = taught.tally.finished
+        assert {(each.why, each.length) for each in done} == {("problem", 4), ("over", 12)}
+        assert np.isfinite([each.total for each in done]).all()
+        again = Taught.resume(tmp_path, nothing, whole=True)
+        assert_same(again, taught)
+        reopened = Taught.resume(tmp_path, nothing)
+        assert_same(reopened, taught)
+        reopened.step()
+
+    def test_it_is_reopened_where_it_failed(self, tmp_path):
+        """Killed before the end was written down: the step fails again, and the episode ends there."""
+        taught = Taught.begin(tmp_path, course(env="tests.teach.failing:Odd"))
+        with pytest.raises(UserError, match="reward"):
+            while True:
+                taught.step()
+        reopened = Taught.resume(tmp_path, nothing)
+        assert reopened.present.length == 4
+        with pytest.raises(UserError, match="reward"):
+            reopened.step()
+        assert reopened.catch_up().why == "problem"
+        assert_same(Taught.resume(tmp_path, nothing, whole=True), reopened)
+
+    def test_a_disk_that_is_full_then(self, tmp_path, monkeypatch):
+        taught = Taught.begin(tmp_path, course(env="tests.teach.failing:Odd"))
+        with pytest.raises(UserError, match="reward"):
+            while True:
+                taught.step()
+        with monkeypatch.context() as patch:
+            patch.setattr(Recording, "append", _full)
+            for do in (taught.catch_up, taught.step):
+                with pytest.raises(UserError, match="full"):
+                    do()
+        ended = taught.step()
+        assert (ended.why, ended.length) == ("problem", 4)
+        assert_same(Taught.resume(tmp_path, nothing, whole=True), taught)
+
+    def test_a_replay_says_where_it_fails(self, tmp_path, monkeypatch):
+        """As on a machine where something is missing that was there."""
+        monkeypatch.setattr("tests.teach.failing.Broken.fails_at", 99)
+        taught = Taught.begin(tmp_path, course(env="tests.teach.failing:Broken"))
+        for _ in range(60):
             taught.step()
-    assert taught.present.length == 0 and not taught.behind
+        monkeypatch.undo()
+        with pytest.raises(UserError, match=r"episode \d, step 5: .*a wheel"):
+            Taught.resume(tmp_path, nothing, whole=True)
+
+    @pytest.mark.parametrize("way", ["undo", "reset"])
+    def test_a_policy_that_comes_to_no_number(self, tmp_path, way):
+        """Its advice can be taken back, also at the beginning of an episode that it does not come to."""
+        taught = Taught.begin(tmp_path, course(algo=("tests.teach.failing:Diverging",)))
+        taught.step()
+        taught.advise(press(1), 0)
+        with pytest.raises(UserError, match="is no number"):
+            taught.step()
+        assert taught.behind and not taught.ending
+        if way == "reset":
+            with pytest.raises(UserError, match="is no number"):
+                taught.end("reset")
+            assert taught.ending
+        assert taught.undo()
+        ended = taught.catch_up()
+        assert (ended is not None) == (way == "reset")
+        taught.step()
+        assert not taught.behind
+        assert_same(Taught.resume(tmp_path, nothing, whole=True), taught)
+
+    def test_undone_while_the_end_is_half_written(self, tmp_path, monkeypatch):
+        taught = Taught.begin(tmp_path, course())
+        taught.step()
+        taught.advise(press(1), 0)
+        with monkeypatch.context() as patch:
+            patch.setattr(type(taught.session), "end_episode", _full)
+            with pytest.raises(UserError, match="full"):
+                taught.end("reset")
+        assert taught.undo()
+        assert taught.catch_up().why == "reset"
+        assert_same(Taught.resume(tmp_path, nothing, whole=True), taught)
+
+    def test_a_learner_that_does_not_fit_is_told_as_theirs(self, tmp_path):
+        with pytest.raises(ForeignError, match=r"Shapeless\.propose does not fit"):
+            Taught.begin(tmp_path, course(algo=("tests.teach.failing:Shapeless",)))
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("task", ["Odd", "Broken"])
+    def test_the_policy_alone_says_it_too(self, tmp_path, task):
+        taught = Taught.begin(tmp_path, course(env=f"tests.teach.failing:{task}"))
+        with pytest.raises(UserError, match=r"reward|wheel"):
+            for episode in range(9):
+                alone = Evaluation(taught.session.policy(), taught.course, episode)
+                while not alone.step():
+                    pass
 
 
 class TestRefused:
