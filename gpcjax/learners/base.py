@@ -1,4 +1,7 @@
-"""What a learner is: a frozen module of hyperparameters whose pure methods move a state."""
+"""What a learner is: a frozen module of hyperparameters whose pure methods move a state.
+
+Over 300 lines: half of them say what each method is given and gives, to whoever writes a learner or calls one.
+"""
 
 import abc
 import dataclasses

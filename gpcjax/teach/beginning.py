@@ -7,10 +7,10 @@ from gpcjax.learners.base import Learner, State
 from gpcjax.learners.carried import carried
 from gpcjax.learners.saved import load_learner
 from gpcjax.policies.folder import write_folder
-from gpcjax.registry import built_in, find
+from gpcjax.registry import built_in
 from gpcjax.sweep.build import learner_of, pack_learned
 from gpcjax.sweep.learned import learned_of
-from gpcjax.sweep.rehearsal import rehearse_learner
+from gpcjax.sweep.rehearsal import check_columns, rehearse_learner
 from gpcjax.teach.course import DICTIONARY, Course
 from gpcjax.teach.origin import Origin
 
@@ -21,7 +21,7 @@ def beginning(course: Course, start: Path | None, room: int | None = None) -> tu
     `room` is for how many points it has room at first; for as many as there will be without.
 
     Raises:
-        UserError: what is in `start` is damaged.
+        UserError: what is in `start` is damaged, or a measurement has the name of a column that there is.
         ForeignError: a method of a learner of a person's own fails, or gives something else than it should.
     """
     if start is None:
@@ -29,7 +29,8 @@ def beginning(course: Course, start: Path | None, room: int | None = None) -> tu
     else:
         learner, state = load_learner(start)
     if course.algo not in built_in("learner"):
-        rehearse_learner(course.algo, learner, [each.name for each in find("learner", course.algo).settings])
+        rehearse_learner(course.algo, learner)
+        check_columns(course.cell(1), learner, ())
     return learner, state
 
 

@@ -1,4 +1,7 @@
-"""What the page is told of a lesson, and what can wait: the map, sigma_h, the lines, pictures, rows."""
+"""What the page is told of a lesson, and what can wait: the map, sigma_h, the lines, pictures, rows.
+
+Over 300 lines: one class, as what is told now and what is told later share the time between two steps.
+"""
 
 import contextlib
 import time
