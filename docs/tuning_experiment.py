@@ -172,6 +172,8 @@ def compared(below: Path) -> list[Row]:
             tuned, before = map(scores, folders)
             area, pairs = paired_difference(tuned["area"], before["area"])
             final, _ = paired_difference(tuned["final"], before["final"])
+            if np.isnan(area.estimate):  # there is no pair of runs of which both got to their ends
+                continue
             rows.append(Row(case.task, case.label(take), area, final, pairs))
     return rows
 

@@ -232,7 +232,7 @@ class TestLateOnHost(GoesOn):
             pool.resume(dataclasses.replace(snapshot, lane=lane))
         arrays, card = pack([snapshot])
         for broken in (
-            {**card, "format": 2},
+            {**card, "format": FORMAT - 1},
             {**card, "groups": []},
             {**card, "groups": [{**card["groups"][0], "leaves": {}}]},
         ):

@@ -2,6 +2,7 @@
 
 import pytest
 
+from gpcjax.policies.saved import shipped_path
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.tune.toml import text_of
 
@@ -21,13 +22,15 @@ SETTINGS = [
         "seeds": "3,7",
         "beta": 1e300,
     },
-    {"env": "cartpole", "algo": "gpc", "oracle": 'ever:so"\\strange'},
+    {"env": "cartpole", "algo": "gpc", "oracle": 'so"\\strange'},
     {"env": "cartpole", "algo": "gpc", "credit": 0.2, "delay": [0.1, 0.2]},
 ]
 
 
 @pytest.mark.parametrize("number", range(len(SETTINGS)))
-def test_it_comes_back(tmp_path, number):
+def test_it_comes_back(tmp_path, monkeypatch, number):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'so"\\strange').symlink_to(shipped_path("cartpole"))
     spec = spec_of(**SETTINGS[number])
     path = tmp_path / "a.toml"
     path.write_text(text_of(spec, ["what it is", "", "and why"]))
