@@ -288,6 +288,30 @@ def figures_unpainted():
 def compiled_programs_are_freed():
     """After each module: they hold gigabytes otherwise, and no module uses another's."""
     yield
+    _free()
+
+
+@pytest.fixture(autouse=True)
+def programs_of_a_large_module_are_freed():
+    """Within a module as well, where so much is held that the next tests would go beyond what is allowed."""
+    yield
+    if _held() > LARGE:
+        _free()
+
+
+LARGE = 1.1e9
+
+
+def _held():
+    """Bytes that this process holds now; 0 where the system does not say it."""
+    try:
+        with open("/proc/self/statm") as told:
+            return int(told.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
+def _free():
     jax.clear_caches()
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
