@@ -252,6 +252,14 @@ def _lay_out(figure: Figure) -> None:
         figure.set_layout_engine(None)
 
 
+def load_formats() -> None:
+    """Has matplotlib load what it otherwise loads with the first figure of each format: half a second of fonts."""
+    figure, (axis,) = panels(["$x$"])
+    axis.set_title("y")
+    for kind in _BACKENDS:
+        image(figure, kind)
+
+
 def pictured(drawing: Drawing, file: str = "") -> Picture:
     """A drawing for a document; `file` is where it lies beside it."""
     figure, alternative, caption = drawing
