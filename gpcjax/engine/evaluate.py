@@ -1,8 +1,9 @@
 """How well a fixed policy does: its return from many starts."""
 
+import re
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,10 +17,11 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import COUNT, Numbers, checked, shown
 from gpcjax.engine import streams
 from gpcjax.engine.programs import lifted, program
+from gpcjax.engine.remembered import Remembered
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
-from gpcjax.policies.base import vector
+from gpcjax.policies.base import Controller, Planner, Policy, vector
 
 Function = Callable[[Any], Any]
 
@@ -51,8 +53,11 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
             starts are simulated together in one compiled program; each call sees what the function refers to now, and
             compiles nothing if only the values of arrays have changed since an earlier one. A function that jax cannot
             trace (it converts its observation to numpy, or looks at its value), whose result does not come from jax,
-            or that is another one when it is traced a second time (it draws numbers, or counts), is called on the host
-            with a numpy array, at each step once for each start, in their order.
+            that is another one when it is traced again, or that changes what it refers to (it draws numbers, counts,
+            or remembers), is called on the host with a numpy array, at each step once for each start, in their order.
+            What changes where Python cannot look, such as a clock or an iterator, and chooses between results of
+            jax's may pass unseen: `np.asarray` around the result says that it is to be called on the host. One that
+            remembers an episode is asked for one start at a time.
         starts: a whole number from 1 to 1,000,000.
         seed: of the first start, a whole number from 0 to 1,000,000,000.
 
@@ -115,6 +120,7 @@ def _begin(env: Env, seeds: Int[Array, " lanes"]) -> _Episodes:
 def _advance(env: Env, now: _Episodes, action: Float[Array, "action lanes"]) -> _Episodes:
     """A step of the lanes whose episode is not over and whose action is finite."""
     going, acts = ~now.over, jnp.isfinite(action).all(0)
+    action = jnp.clip(action, -1.0, 1.0)  # as a policy's is in a sweep: a task need not do it
     after = jax.vmap(partial(stepped, env), in_axes=-1, out_axes=-1)(now.state, action)
     steps = going & acts
     finite = jnp.isfinite(after.obs).all(0) & jnp.isfinite(after.reward)
@@ -203,11 +209,51 @@ def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:
 def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., Any]] | None:
     """The values in a policy, and the policy as a function of these values and an observation.
 
-    None if jax cannot trace it, or its result is not jax's: what is not may be another one at each call.
+    None if jax cannot trace it, if its result is not jax's, which may be another one at each call, or if it is another
+    function when it is traced again, or goes on changing what it refers to: then that is what it was before.
 
     Raises:
         UserError: its result is no action of this task.
     """
+    if isinstance(policy, _OURS):
+        found = _lifted(env, policy)
+    else:
+        before = Remembered(policy)
+        found = _lifted(env, policy)
+        # Something may be made at the first call, and kept.
+        after = Remembered(policy)
+        again = [_lifted(env, policy) for _ in range(_TIMES) if found is not None]
+        kept = not after.is_changed and after.tracers.keys() <= before.tracers.keys()
+        if found is None or not kept or not all(each is not None and _alike(found, each) for each in again):
+            before.put_back()
+            return None
+    if found is None:
+        return None
+    vector("the policy's action", np.zeros(found.shape.shape, found.shape.dtype), env.action_size, env.name)
+    return [found.leaves, found.values], lambda given, obs: found.act(given[1], given[0], obs)
+
+
+_OURS = Policy | Controller | Planner
+"""Policies that draw no numbers, and have no memory."""
+_TIMES = 2
+"""How often a person's function is traced again."""
+
+
+class _Lifted(NamedTuple):
+    """A policy that jax has traced."""
+
+    leaves: list[Any]
+    """The arrays that it consists of, if it is a pytree."""
+    values: list[Any]
+    """Those that it closes over, and its numbers."""
+    act: Callable[..., Any]
+    text: str
+    shape: jax.ShapeDtypeStruct
+    """Of its action."""
+
+
+def _lifted(env: Env | HostEnv, policy: Function) -> _Lifted | None:
+    """None if jax cannot trace it, or its result is not jax's."""
     arrays, static = eqx.partition(policy, eqx.is_array)
     shape: jax.ShapeDtypeStruct | None = None
 
@@ -218,22 +264,26 @@ def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., An
         return action if shape else obs
 
     try:
-        example = jax.ShapeDtypeStruct((env.obs_size,), float)
-        values, act = lifted(probe, arrays, example)
-        # A draw of numpy's, or a counter, would be one number for all steps: where it is another the second time.
-        others, _ = lifted(probe, arrays, example)
-        known = [pair for pair in zip(values, others, strict=True) if not isinstance(pair[0], Tracer)]
-        if not all(np.array_equal(one, other) for one, other in known):
-            return None
+        values, act, text = lifted(probe, arrays, jax.ShapeDtypeStruct((env.obs_size,), float))
         lanes = jax.ShapeDtypeStruct((env.obs_size, 2), float)
         leaves = jax.tree.leaves(arrays)
         jax.eval_shape(jax.vmap(lambda obs: act(values, *leaves, obs), in_axes=-1), lanes)
-    except (
-        Exception
-    ):  # whatever it is that a function of numpy meets: on the host it shows whether it is a mistake
+    except Exception:  # whatever a function of numpy meets: on the host it shows whether it is a mistake
         return None
-    if shape is None:
-        return None
-    vector("the policy's action", np.zeros(shape.shape, shape.dtype), env.action_size, env.name)
-    leaves = jax.tree.leaves(arrays)
-    return [leaves, values], lambda given, obs: act(given[1], given[0], obs)
+    return None if shape is None else _Lifted(leaves, values, act, text, shape)
+
+
+def _alike(one: _Lifted, other: _Lifted) -> bool:
+    """Whether both compute the same, as far as that is known while jax traces what is around them."""
+    return re.sub(_ADDRESS, "", one.text) == re.sub(_ADDRESS, "", other.text) and all(
+        isinstance(pair[0], Tracer) or _bits(pair[0]) == _bits(pair[1])
+        for pair in zip(one.values, other.values, strict=True)
+    )
+
+
+_ADDRESS = "0x[0-9a-f]+"
+
+
+def _bits(value: Any) -> bytes:
+    is_key = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+    return np.asarray(jax.random.key_data(value) if is_key else value).tobytes()

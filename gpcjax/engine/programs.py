@@ -46,13 +46,15 @@ def program(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]
     return lambda *arguments: jax.tree.unflatten(structure, call(consts, jax.tree.leaves(arguments)))
 
 
-def lifted(function: Callable[..., Any], *arguments: Any) -> tuple[list[Any], Callable[..., Any]]:
-    """The values in a function of arrays, and the function of these values and its arguments.
+def lifted(function: Callable[..., Any], *arguments: Any) -> tuple[list[Any], Callable[..., Any], str]:
+    """The values in a function of arrays, the function of these values and its arguments, and its text.
 
-    Values are the arrays that it closes over and the real numbers of its outermost level, such as 0.3 in
+    It is traced anew at each call, also the same function: what it draws or counts is then in other values, or another
+    text. Values are the arrays that it closes over and the real numbers of its outermost level, such as 0.3 in
     `lambda x: 0.3 * x`; `arguments` are arrays or their shapes.
     """
-    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+    anew = lambda *arguments: function(*arguments)  # noqa: E731  (jax knows what it has traced by its identity)
+    closed, shapes = jax.make_jaxpr(anew, return_shape=True)(*arguments)
     structure, jaxpr = jax.tree.structure(shapes), closed.jaxpr
     names, numbers, eqns = [], [], []
     for eqn in jaxpr.eqns:
@@ -71,7 +73,7 @@ def lifted(function: Callable[..., Any], *arguments: Any) -> tuple[list[Any], Ca
             structure, jaxpr_as_fun(ClosedJaxpr(jaxpr, values))(*jax.tree.leaves(arguments))
         )
 
-    return [*closed.consts, *numbers], call
+    return [*closed.consts, *numbers], call, str(jaxpr)
 
 
 def _compiled(flat: Callable[..., Any], *arguments: Any) -> Callable[..., list[jax.Array]]:

@@ -1,5 +1,9 @@
 """The return of a fixed policy."""
 
+import collections
+import queue
+import random
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +12,7 @@ import pytest
 
 from gpcjax.engine import programs, streams
 from gpcjax.engine.evaluate import evaluate, idle
+from gpcjax.engine.remembered import Remembered
 from gpcjax.envs.cartpole import CartPole
 from gpcjax.envs.host import HostEnv
 from tests.engine.host_tasks import host_drift
@@ -176,3 +181,113 @@ def test_inside_jit():
     score = lambda gain: evaluate(env, lambda obs: jnp.tanh(gain * obs[2:3]), 3).returns.mean()  # noqa: E731
     together = jax.jit(jax.vmap(score))(jnp.array([9.0, -9.0]))
     np.testing.assert_allclose(together, [score(9.0), score(-9.0)])
+
+
+class Remembering:
+    """What a person writes who filters, counts or keeps what was seen."""
+
+    def __init__(self):
+        self.last, self.asked, self.seen = jnp.zeros(2), 0, []
+
+    def filtered(self, obs):
+        self.last = 0.9 * self.last + 0.1 * obs
+        return self.last
+
+    def counted(self, obs):
+        self.asked += 1
+        return jnp.where(self.asked <= 5, 1.0, jnp.tanh(obs))
+
+    def kept(self, obs):
+        self.seen.append(obs)
+        return jnp.tanh(obs)
+
+    def branched(self, obs):
+        self.asked += 1
+        return jnp.ones(2) if self.asked % 7 == 0 else jnp.tanh(obs)
+
+
+def drawing(how):
+    """Policies that draw numbers, each from a generator of its own that begins at the same place."""
+    rng, plain = np.random.default_rng(3), random.Random(3)
+    return {
+        "added": lambda obs: jnp.tanh(obs) + rng.normal(0, 0.3),
+        "float": lambda obs: jnp.tanh(obs) + float(rng.normal(0, 0.3)),
+        "array": lambda obs: jnp.tanh(obs) + jnp.asarray(rng.normal(0, 0.3, 2)),
+        "index": lambda obs: jnp.full(2, obs[int(rng.integers(2))]),
+        "everybody's": lambda obs: jnp.tanh(obs) + np.random.normal(0, 0.3),
+        "seldom": lambda obs: jnp.ones(2) if plain.random() < 0.05 else jnp.tanh(obs),
+    }[how]
+
+
+@pytest.mark.parametrize("env", [Drift(), host_drift()], ids=["compiled", "host"])
+class TestAnotherFunctionAtEachCall:
+    """It is asked at each step, as one is whose result comes from numpy; tracing leaves nothing behind."""
+
+    @pytest.mark.parametrize("how", ["added", "float", "array", "index", "everybody's", "seldom"])
+    def test_that_draws(self, env, how):
+        drawn, plain = drawing(how), drawing(how)
+        np.random.seed(4)
+        got = evaluate(env, drawn, 2)
+        np.random.seed(4)
+        np.testing.assert_allclose(got.returns, evaluate(env, lambda obs: np.asarray(plain(obs)), 2).returns)
+
+    @pytest.mark.parametrize("how", ["filtered", "counted", "kept", "branched"])
+    def test_that_remembers(self, env, how):
+        ours, plain = Remembering(), Remembering()
+        got = evaluate(env, getattr(ours, how), 2)
+        expected = evaluate(env, lambda obs: np.asarray(getattr(plain, how)(obs)), 2)
+        np.testing.assert_allclose(got.returns, expected.returns)
+        assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(vars(ours)))
+        np.testing.assert_array_equal(ours.last, plain.last)
+        assert ours.asked == plain.asked and len(ours.seen) == len(plain.seen)
+
+
+def test_what_is_made_at_the_first_call_and_kept_is_no_memory():
+    asked = queue.SimpleQueue()
+
+    class Lazy:
+        scale = None
+
+        def __call__(self, obs):
+            asked.put(isinstance(obs, jax.core.Tracer))
+            self.scale = 0.3 if self.scale is None else self.scale
+            return -self.scale * obs
+
+    evaluate(Drift(), Lazy(), 2)
+    assert all(asked.get() for _ in range(asked.qsize()))
+
+
+def test_what_a_function_refers_to_is_put_back():
+    draws, table, line = np.random.default_rng(1), {"a": 1}, collections.deque([1])
+    numbers, count = np.zeros(3), 0
+
+    def changing(obs):
+        nonlocal count
+        count += 1
+        table.update(a=2, b=obs)
+        line.append(obs)
+        numbers[1] = 4
+        return obs * draws.normal() + np.random.normal()
+
+    def state():
+        kept = (draws.bit_generator.state, np.random.get_state())
+        return repr((table, line, numbers, count, kept))
+
+    was, before = state(), Remembered(changing)
+    assert not before.is_changed
+    changing(1.0)
+    assert before.is_changed and state() != was
+    before.put_back()
+    assert not before.is_changed and state() == was
+
+
+@pytest.mark.parametrize("library", [jnp, np])
+def test_an_action_beyond_the_bounds_is_clipped(library):
+    """As in a sweep: a task of one's own need not do it."""
+
+    class Told(Drift):
+        def step(self, state, action):
+            return self.advance(state, state.physics, obs=state.obs, reward=action[0] - 0.25 * action[1])
+
+    got = evaluate(Told(max_steps=8), lambda obs: library.asarray([7.0, -3.0]) + 0 * obs, 2)
+    np.testing.assert_allclose(got.returns, 8 * 1.25)
