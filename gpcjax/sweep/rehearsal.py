@@ -3,6 +3,7 @@
 What it gets wrong is told in its own words then, and not in those of a program of many lanes.
 """
 
+import dataclasses
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar
 
@@ -95,7 +96,7 @@ def check_columns(cell: Cell, learner: Learner, varying: Collection[str]) -> Non
 def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: int) -> None:
     """Traces what a teacher does in a sweep of a task of these sizes. Raises as `rehearse_learner`."""
     source, number = f"teacher {name}: {type(teacher).__name__}", jax.ShapeDtypeStruct((), jnp.int32)
-    here, teacher = _moment(obs_size, action_size, asked=True), _numbers(source, teacher)
+    here, teacher = _moment(obs_size, action_size, asked=True, drawn=True), _numbers(source, teacher)
     sigma = jax.ShapeDtypeStruct((), jnp.float64)
     memory = _traced(f"{source}.init", memory_of, teacher)
     _refuse_keys(f"{source}.init: memory", memory)
@@ -110,7 +111,8 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
         return teacher.during(moment.episode).recalling(memory).advise(coins, moment)
 
     if teacher.watches:
-        watched = _traced(f"{source}.watch", watch, teacher, memory, here)
+        seen = _moment(obs_size, action_size, drawn=True)
+        watched = _traced(f"{source}.watch", watch, teacher, memory, seen)
         _check(f"{source}.watch", "the memory", watched, memory, exactly=True)
     allowed = _traced(f"{source}.may_advise", may, teacher, here.action, sigma, number, number)
     if _form(allowed) != (here.action.shape, jnp.dtype(bool)):
@@ -120,6 +122,42 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
     if getattr(advice, "shape", None) != here.action.shape:
         wanted = f"-1, 0 or 1 for each action dimension, an array of shape {here.action.shape}"
         raise _does_not_fit(f"{source}.advise", f"it gives {_shown(advice)}, it should give {wanted}")
+    _refuse_unseen_sigma(source, teacher, memory, here)
+
+
+def _refuse_unseen_sigma(source: str, teacher: Teacher, memory: Any, here: Moment) -> None:
+    """Raises UserError: what the teacher does follows from sigma_h, of which it is shown nothing but zeros."""
+    if teacher.active or teacher.is_ours:
+        return
+    numbers, form = eqx.partition(teacher, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct))
+    recalled = lambda numbers, memory, episode: (  # noqa: E731
+        eqx.combine(numbers, form).during(episode).recalling(memory)
+    )
+
+    def advise(sigma: Any, numbers: Any, memory: Any, moment: Moment, coins: Any) -> Any:
+        return recalled(numbers, memory, moment.episode).advise(
+            coins, dataclasses.replace(moment, sigma_human=sigma)
+        )
+
+    def chance(sigma: Any, numbers: Any, memory: Any, moment: Moment, coins: Any) -> Any:
+        return recalled(numbers, memory, moment.episode).chance(sigma)
+
+    for method in (advise, chance):
+        if _follows_from_first(method, here.sigma_human, numbers, memory, here, here.action):
+            raise UserError(
+                f"{source}.{method.__name__} uses sigma_human, which is computed only for a class with active = True: "
+                "write that line in it"
+            )
+
+
+def _follows_from_first(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether the numbers of the first argument, an array's shape, can change what comes of all of them."""
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    used = {id(variable) for variable in jaxpr.outvars}
+    for eqn in reversed(jaxpr.eqns):
+        if not used.isdisjoint(map(id, eqn.outvars)):
+            used.update(map(id, eqn.invars))
+    return id(jaxpr.invars[0]) in used
 
 
 def rehearse_task(name: str, env: Env | HostEnv) -> None:
@@ -188,13 +226,13 @@ def _key() -> Any:
     return jax.random.key(0)
 
 
-def _moment(obs_size: int, action_size: int, asked: bool = False) -> Any:
-    """The shapes of a step of one lane."""
+def _moment(obs_size: int, action_size: int, asked: bool = False, drawn: bool = False) -> Any:
+    """The shapes of a step of one lane, at which its teacher is asked or only watches."""
 
     def made() -> Moment:
         number, action = jnp.zeros((), jnp.int32), jnp.zeros(action_size)
-        further = (action, action, jnp.zeros(3)) if asked else ()
-        return Moment(jnp.zeros(obs_size), action, number, number, *further)
+        told = (action, action) if asked else (None, None)
+        return Moment(jnp.zeros(obs_size), action, number, number, *told, jnp.zeros(3) if drawn else None)
 
     return jax.eval_shape(made)
 

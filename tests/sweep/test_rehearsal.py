@@ -228,6 +228,44 @@ def test_teachers(teacher, message):
         rehearse_teacher("mine:it", teacher(), 2, 1)
 
 
+class Watchful(Loud):
+    """Looks at every step for what is known only where it is asked."""
+
+    def init(self):
+        return jnp.zeros(1)
+
+    def watch(self, memory, moment):
+        return memory + moment.target
+
+
+class Doubting(Loud):
+    def advise(self, coins, moment):
+        return jnp.where(moment.sigma_human > 0.1, 1.0, 0.0)
+
+
+class Telling(Loud):
+    def chance(self, sigma_human):
+        return 0.5 * sigma_human
+
+
+class Shaped(Loud):
+    def advise(self, coins, moment):
+        return jnp.zeros_like(moment.sigma_human)
+
+
+def test_a_teacher_that_uses_what_it_is_not_shown():
+    """sigma_h is zero for one that does not say that it needs it; its shape is no use of it."""
+    for teacher, method in ((Doubting, "advise"), (Telling, "chance")):
+        with pytest.raises(
+            UserError, match=rf"^teacher it: {teacher.__name__}.{method} uses sigma_human.* active = True"
+        ):
+            rehearse_teacher("it", teacher(), 2, 1)
+        rehearse_teacher("it", type("Active", (teacher,), {"active": True})(), 2, 1)
+    rehearse_teacher("it", Shaped(), 2, 1)
+    with pytest.raises(ForeignError, match=r"^teacher it: Watchful.watch fails \(TypeError"):
+        rehearse_teacher("it", Watchful(), 2, 1)
+
+
 class Drawing(Linear):
     def init(self, key=None):
         return {"weights": super().init(), "key": jax.random.key(0)}
