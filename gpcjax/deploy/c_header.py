@@ -7,6 +7,7 @@ from gpcjax.deploy.label import Label
 from gpcjax.deploy.numerals import numerals, wrapped
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
 from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel, PlainNetwork
+from gpcjax.policies.vectors import FARTHEST
 
 _CORRELATIONS = {
     0.5: "exp(-sqrt(squared))",
@@ -36,6 +37,11 @@ _TEMPLATE = """\
 /* obs: {obs_size} numbers, read. action: {action_size} from -1 to 1, written. They must not overlap. */
 static inline void {name}_act(const double *obs, double *action)
 {{
+    double seen[{obs_size}];
+    int k;
+    for (k = 0; k < {obs_size}; k++) {{
+        seen[k] = obs[k] < -{farthest!r} ? -{farthest!r} : obs[k] > {farthest!r} ? {farthest!r} : obs[k];
+    }}
 {body}
 }}
 
@@ -50,7 +56,7 @@ _KERNEL = """\
     for (a = 0; a < {actions}; a++) {{
         double place[{size}], total = 0.0;
         for (i = 0; i < {size}; i++) {{
-            place[i] = obs[i] * scale[a * {size} + i];
+            place[i] = seen[i] * scale[a * {size} + i];
         }}
         for (p = 0; p < {count}; p++) {{
             double squared = 0.0;
@@ -76,7 +82,7 @@ _GRID = """\
         const double spacing = (upper[i] - lower[i]) / (counts[i] - 1);
         double largest = 0.0, total = 0.0;
         for (c = 0; c < counts[i]; c++) {{
-            const double distance = (obs[i] - lower[i]) / spacing - c;
+            const double distance = (seen[i] - lower[i]) / spacing - c;
             share[c] = -0.5 * distance * distance;
             largest = c == 0 || share[c] > largest ? share[c] : largest;
         }}
@@ -130,7 +136,8 @@ def c_header(plain: Plain, label: Label) -> str:
         name=label.name,
         obs_size=plain.obs_size,
         action_size=plain.action_size,
-        stack=f"{8 * stack:,} bytes",
+        stack=f"{8 * (stack + plain.obs_size):,} bytes",
+        farthest=FARTHEST,
         body=body,
     )
 
@@ -167,7 +174,7 @@ def _written(plain: Plain) -> tuple[str, int]:
 
 
 def _network(plain: PlainNetwork) -> tuple[str, int]:
-    arrays, loops, source, inputs, units = [], [], "obs", plain.obs_size, []
+    arrays, loops, source, inputs, units = [], [], "seen", plain.obs_size, []
     for layer, (weights, biases) in enumerate(zip(plain.weights, plain.biases, strict=True), 1):
         arrays += [_array(f"weights_{layer}", weights), _array(f"biases_{layer}", biases)]
         last = layer == len(plain.weights)

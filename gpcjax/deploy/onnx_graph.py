@@ -11,6 +11,7 @@ from gpcjax.deploy.label import Label
 from gpcjax.errors import UserError
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
 from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel, PlainNetwork
+from gpcjax.policies.vectors import FARTHEST
 
 if TYPE_CHECKING:
     from onnx import NodeProto, TensorProto
@@ -86,22 +87,27 @@ class _Graph:
 
 def _add(graph: _Graph, plain: Plain) -> None:
     """All of a policy."""
+    obs = _clipped(graph, "obs", FARTHEST)
     match plain:
         case PlainKernel():
-            action = _kernel(graph, plain)
+            action = _kernel(graph, plain, obs)
         case PlainGrid():
-            action = _grid(graph, plain)
+            action = _grid(graph, plain, obs)
         case PlainNetwork():
-            action = _network(graph, plain)
+            action = _network(graph, plain, obs)
         case _:
             raise TypeError(f"no graph for a {type(plain).__name__}")
-    least, most = graph.constant(-1.0), graph.constant(1.0)
-    # Runtimes differ in what they make of NaN when they clip.
-    graph("Where", graph("IsNaN", action), action, graph("Clip", action, least, most), to="action")
+    _clipped(graph, action, 1.0, to="action")
 
 
-def _kernel(graph: _Graph, plain: PlainKernel) -> str:
-    place = graph("Unsqueeze", "obs", graph.sizes(1))  # (batch, 1, obs)
+def _clipped(graph: _Graph, value: str, most: float, to: str = "") -> str:
+    """From -most to most; runtimes differ in what they make of NaN when they clip."""
+    clipped = graph("Clip", value, graph.constant(-most), graph.constant(most))
+    return graph("Where", graph("IsNaN", value), value, clipped, to=to)
+
+
+def _kernel(graph: _Graph, plain: PlainKernel, obs: str) -> str:
+    place = graph("Unsqueeze", obs, graph.sizes(1))  # (batch, 1, obs)
     place = graph("Unsqueeze", graph("Mul", place, graph.constant(plain.scale)), graph.sizes(2))
     difference = graph("Sub", graph.constant(plain.points), place)  # (batch, action, point, obs)
     squared = graph.sum(graph("Mul", difference, difference), 3)
@@ -123,14 +129,14 @@ def _correlation(graph: _Graph, squared: str, smoothness: float) -> str:
     return graph("Mul", polynomial, falling)
 
 
-def _grid(graph: _Graph, plain: PlainGrid) -> str:
+def _grid(graph: _Graph, plain: PlainGrid, obs: str) -> str:
     *_, last = counts = plain.counts
     rows = plain.action_size * math.prod(counts[:-1])
     shares = []
     for i, count in enumerate(counts):
         spacing = (plain.upper[i] - plain.lower[i]) / (count - 1)
-        obs = graph("Gather", "obs", graph.sizes(i), axis=1)  # (batch, 1)
-        distance = graph("Div", graph("Sub", obs, graph.constant(plain.lower[i])), graph.constant(spacing))
+        number = graph("Gather", obs, graph.sizes(i), axis=1)  # (batch, 1)
+        distance = graph("Div", graph("Sub", number, graph.constant(plain.lower[i])), graph.constant(spacing))
         distance = graph("Sub", distance, graph.constant(np.arange(count)))
         exponent = graph("Mul", graph("Mul", distance, distance), graph.constant(-0.5))
         shares.append(graph("Softmax", exponent, axis=1))  # (batch, count)
@@ -144,8 +150,7 @@ def _grid(graph: _Graph, plain: PlainGrid) -> str:
     return total
 
 
-def _network(graph: _Graph, plain: PlainNetwork) -> str:
-    units = "obs"
+def _network(graph: _Graph, plain: PlainNetwork, units: str) -> str:
     for layer, (weights, biases) in enumerate(zip(plain.weights, plain.biases, strict=True), 1):
         linear = graph("MatMul", units, graph.constant(weights.T))
         units = graph("Add", linear, graph.constant(biases))

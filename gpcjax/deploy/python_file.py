@@ -7,6 +7,7 @@ from gpcjax.deploy.label import Label
 from gpcjax.deploy.numerals import numerals
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
 from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel, PlainNetwork
+from gpcjax.policies.vectors import FARTHEST
 
 _CORRELATIONS = {
     0.5: ("r = np.sqrt(squared)", "np.exp(-r)"),
@@ -41,6 +42,7 @@ def act(obs):
     if obs.shape != (OBS_SIZE,):
         raise ValueError(f"obs has shape {{obs.shape}}, this policy takes ({{OBS_SIZE}},)")
     with np.errstate(all="ignore"):
+        obs = np.minimum(np.maximum(obs, -{farthest!r}), {farthest!r})
 {body}
         return np.minimum(np.maximum(action, -1.0), 1.0)
 '''
@@ -52,6 +54,7 @@ def python_file(plain: Plain, label: Label) -> str:
     return _TEMPLATE.format(
         head=_comment(label.head),
         provenance=_comment(label.provenance),
+        farthest=FARTHEST,
         obs_size=plain.obs_size,
         action_size=plain.action_size,
         arrays="\n".join(arrays),

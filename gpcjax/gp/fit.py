@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.gp import cholesky
-from gpcjax.gp.kernels import Kernel, correlation, sum_of_squares
+from gpcjax.gp.kernels import Kernel, closed_form, sum_of_squares
 
 BOUNDS = ((1e-5, 1e5), (1e-5, 1e5), (1e-5, 1e5))
 """Least and largest variance, length-scale and noise: scikit-learn's defaults."""
@@ -45,7 +45,7 @@ def log_marginal_likelihood(
     squared = sum_of_squares(column[:, None] - column[None] for column in points.T)
     # A root has no slope at 0, where the correlation is 1 whatever the length-scale: `Kernel.gram` would give NaN.
     apart = squared > 0
-    nearby = correlation(jnp.where(apart, squared, 1.0) * kernel.inverse_length**2, kernel.smoothness)
+    nearby = closed_form(jnp.where(apart, squared, 1.0) * kernel.inverse_length**2, kernel.smoothness)
     gram = kernel.variance * jnp.where(apart, nearby, 1.0)
     lower = cholesky.factor(gram, jnp.ones(targets.shape, bool), noise)
     whitened = cholesky.solve(lower, targets)

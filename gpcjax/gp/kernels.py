@@ -10,6 +10,7 @@ import operator
 from collections.abc import Iterable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -19,7 +20,33 @@ from gpcjax.gp.smoothness import SMOOTHNESSES as SMOOTHNESSES
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL as SQUARED_EXPONENTIAL
 
 
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def correlation(squared: Float[Array, "*shape"], smoothness: float) -> Float[Array, "*shape"]:
+    """`closed_form`, with derivatives also at distance zero, where that of a root is infinite.
+
+    For nu = 0.5, which has a cusp there, this derivative is zero, as from both sides together.
+    """
+    return closed_form(squared, smoothness)
+
+
+@correlation.defjvp
+def _(smoothness: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (squared,), (change,) = primals, tangents
+    if smoothness == SQUARED_EXPONENTIAL:
+        slope = -0.5 * correlation(squared, smoothness)
+    elif smoothness == 0.5:
+        apart = squared > 0
+        slope = jnp.where(
+            apart, -0.5 * correlation(squared, 0.5) / jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0
+        )
+    elif smoothness == 1.5:
+        slope = -0.5 * correlation(squared, 0.5)
+    else:
+        slope = correlation(squared, 1.5) / -6.0
+    return correlation(squared, smoothness), slope * change
+
+
+def closed_form(squared: Float[Array, "*shape"], smoothness: float) -> Float[Array, "*shape"]:
     """Correlation at a squared distance that is already divided by `stretch(smoothness) ** 2 * l ** 2`.
 
     One branch per smoothness, chosen at trace time:

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gpcjax._x64 import under_own_settings
 from gpcjax.gp import cholesky
 from gpcjax.gp.fit import bent, minimise, unbent
-from gpcjax.gp.kernels import SMOOTHNESSES, Kernel, correlation, sum_of_squares
+from gpcjax.gp.kernels import SMOOTHNESSES, Kernel, closed_form, sum_of_squares
 from gpcjax.gp.threads import one_thread
 
 TOLERANCE = 1e-5
@@ -86,7 +86,7 @@ def log_likelihood(
     # A root has no slope at 0, where the correlation is 1 whatever the length-scale.
     both = active[:, None] & active[None]
     apart = (squared > 0) & both
-    gram = kernel.variance * jnp.where(apart, correlation(jnp.where(apart, squared, 1.0), smoothness), 1.0)
+    gram = kernel.variance * jnp.where(apart, closed_form(jnp.where(apart, squared, 1.0), smoothness), 1.0)
     diagonal = jnp.diag(jnp.where(active, numbers[-1], 1.0))
     return _density(jnp.where(both, gram, 0.0) + diagonal, targets, active)
 

@@ -14,6 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.learners.calls import Called
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
+from gpcjax.policies.vectors import FARTHEST
 
 Learner = Any
 """A `gpcjax.learners.base.Learner`, whose methods call these."""
@@ -24,7 +25,7 @@ State = PyTree
 def act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
     """The action at `obs`, in [-1, 1]."""
     _check_precision(learner, state)
-    return jnp.clip(learner.controller(state)(obs), -1.0, 1.0)
+    return jnp.clip(learner.controller(state)(jnp.clip(obs, -FARTHEST, FARTHEST)), -1.0, 1.0)
 
 
 @Called

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 import gpcjax.policies.pytree  # noqa: F401  (policies are part of jax wherever it is used)
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.policies.policy import Policy as Policy
+from gpcjax.policies.vectors import FARTHEST as FARTHEST
 from gpcjax.policies.vectors import Vector as Vector
 from gpcjax.policies.vectors import beyond as beyond
 from gpcjax.policies.vectors import check_executed as check_executed
@@ -85,4 +86,4 @@ def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
 # Inline: where a policy is part of a larger program, that program is the same as without this function.
 @jax.jit(inline=True)
 def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
-    return jnp.clip(controller(obs), -1.0, 1.0)
+    return jnp.clip(controller(jnp.clip(obs, -FARTHEST, FARTHEST)), -1.0, 1.0)

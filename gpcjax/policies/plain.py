@@ -12,8 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
+from gpcjax.policies.vectors import FARTHEST
 
 Numbers = Float[np.ndarray, "..."]
+
+_NEAR = FARTHEST**2
+"""A sum of squares among which none can be of a number beyond `FARTHEST`."""
 
 
 class Plain(abc.ABC):
@@ -41,6 +45,8 @@ class Plain(abc.ABC):
     def act(self, obs: Float[np.ndarray, " obs"]) -> Float[np.ndarray, " action"]:
         """The action in [-1, 1]; NaN stays NaN, as in jax, and nobody is warned of it."""
         with np.errstate(all="ignore"):
+            if not obs.dot(obs) <= _NEAR:  # quicker than to bound each number at each call
+                obs = np.clip(obs, -FARTHEST, FARTHEST)
             return np.minimum(np.maximum(self(obs), -1.0), 1.0)
 
 

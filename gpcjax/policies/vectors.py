@@ -12,6 +12,11 @@ Vector = Any
 """Real numbers as a person gives them: a list, a numpy or a jax array of one axis, traced or not. See `vector`."""
 
 
+FARTHEST = 1e60
+"""Numbers of an observation beyond it, up or down, are taken for it by a policy: their squares would be infinite, and
+an action made of them no number."""
+
+
 def is_jax(value: object) -> bool:
     """Whether it is an array of jax's, traced or not. Nothing is, where nobody has imported jax."""
     kind = getattr(sys.modules.get("jax"), "Array", None)

@@ -55,10 +55,12 @@ def test_each_kind(plain):
 
 @pytest.mark.parametrize("plain", list(made()), ids=lambda plain: type(plain).__name__)
 def test_what_is_no_number_stays_none_and_nobody_is_warned(plain):
-    for worst in (np.nan, np.inf, -np.inf):
-        obs = np.array([0.1, worst, 0.2])
-        found, expected = Policy.of(plain)(obs), Policy.of(plain)(jnp.asarray(obs))
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    """And what is huge gives an action."""
+    for worst in (np.nan, np.inf, -np.inf, 1e155, -1e200, 1.7e308):
+        for obs in ([0.1, worst, 0.2], [worst, -worst, worst]):
+            found, expected = Policy.of(plain)(np.array(obs)), Policy.of(plain)(jnp.asarray(obs))
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+            assert np.isnan(found).all() if np.isnan(worst) else (np.abs(found) <= 1).all()
 
 
 def test_with_what_is_jaxs_it_is_jax():
