@@ -29,6 +29,7 @@ from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners.base import Info, Learner, State
+from gpcjax.learners.compiled import rehearse
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
@@ -85,6 +86,7 @@ class Session:
             }
         )
         learner = fixed(learner)
+        rehearse(learner, learner.init() if state is None else state)
         block = single(learner, state, credit_of(settings), settings["seed"])
         self._sit(learner, Course(Alone(learner, block), settings))
         self._begin_record(record)

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 from gpcjax.errors import UserError
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners import compiled
+from gpcjax.learners.forms import check_learned
 from gpcjax.learners.info import Info as Info
 from gpcjax.learners.info import Status as Status
 from gpcjax.moment import Moment
@@ -214,6 +215,10 @@ class Learner(ByIdentity):
         """Points held by the policies and by the human models, over all action dimensions; 0, 0 without any."""
         return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
 
+    def _like(self, state: State) -> State:
+        """A state with as much room as this one has: of the same shapes, if it is one of this learner."""
+        return self.init(jax.random.key(0))
+
     def _uncertainty(
         self, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
     ) -> Float[Array, " action"]:
@@ -223,7 +228,9 @@ class Learner(ByIdentity):
         self, state: State, moment: Moment, advice: Float[Array, " action"], key: PRNGKeyArray
     ) -> tuple[State, Info]:
         """`learn`, if there is advice, and nothing in the state becomes what is no number."""
-        new, info = self.learn(state, moment, advice, key)
+        learned = self.learn(state, moment, advice, key)
+        check_learned(f"{type(self).__name__}.learn", learned, state, moment.action)
+        new, info = learned
         given = (advice != 0).any()
         told = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((info.rate, moment.obs, moment.action))]
         finite = jnp.stack([*_stays_finite(new, state), *told]).all()

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PyTree
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.learners.calls import Called
+from gpcjax.learners.forms import check
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
 from gpcjax.policies.vectors import FARTHEST
@@ -25,7 +26,9 @@ State = PyTree
 def act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
     """The action at `obs`, in [-1, 1]."""
     _check_precision(learner, state)
-    return jnp.clip(learner.controller(state)(jnp.clip(obs, -FARTHEST, FARTHEST)), -1.0, 1.0)
+    action = learner.controller(state)(jnp.clip(obs, -FARTHEST, FARTHEST))
+    check(f"{type(learner).__name__}.propose", "an action", action, _an_action(learner))
+    return jnp.clip(action, -1.0, 1.0)
 
 
 @Called
@@ -61,15 +64,38 @@ def correct(
     return state, dataclasses.replace(info, status=info.status.max())
 
 
+def rehearse(learner: Learner, state: State) -> None:
+    """Traces what a learner of a person's own does with a state, before any of it is needed; ours do it.
+
+    Raises:
+        UserError: it is no state of this learner.
+        ForeignError: a method gives something of another shape or type than it should.
+    """
+    if type(learner).__module__.startswith("gpcjax."):
+        return
+    obs, none = jnp.zeros(learner.obs_size), jnp.zeros(learner.action_size)
+    eqx.filter_eval_shape(act.__wrapped__, learner, state, obs)
+    eqx.filter_eval_shape(correct.__wrapped__, learner, state, obs, none, none)
+
+
 def check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
     expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
-    alike = jax.tree.structure(state) == jax.tree.structure(expected) and all(
-        getattr(leaf, "ndim", None) == want.ndim and leaf.shape[:1] == want.shape[:1]
-        for leaf, want in zip(jax.tree.leaves(state), jax.tree.leaves(expected), strict=True)
-    )
-    if not alike:
-        raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+    shapes = list(map(_shape, jax.tree.leaves(state)))
+    if jax.tree.structure(state) == jax.tree.structure(expected) and None not in shapes:
+        expected = jax.eval_shape(lambda: learner._like(state))
+        if shapes == [leaf.shape for leaf in jax.tree.leaves(expected)]:
+            return
+    raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+
+
+def _shape(leaf: Any) -> tuple[int, ...] | None:
+    """Of an array, or of a number of Python's, as `init` may give them."""
+    return () if isinstance(leaf, bool | int | float | complex) else getattr(leaf, "shape", None)
+
+
+def _an_action(learner: Learner) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((learner.action_size,), jnp.float64)
 
 
 def _check_precision(learner: Learner, state: State) -> None:

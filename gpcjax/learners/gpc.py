@@ -11,6 +11,7 @@
 | sigma_thres | half of the policy's prior standard deviation |
 """
 
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -148,6 +149,10 @@ class GPC(Learner):
     def init(self, key: PRNGKeyArray | None = None) -> GPCState:
         """The idle policy: its action is 0 everywhere. Nothing is drawn."""
         return _untaught(self)
+
+    def _like(self, state):
+        policy, human = (each.points.shape[-2] for each in (state.policy, state.human))
+        return dataclasses.replace(self, policy_capacity=policy, human_capacity=human).init()
 
     def _uncertainty(self, state, obs, action):
         def one(each: tuple[Posterior, Float[Array, ""]]) -> Float[Array, ""]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 import gpcjax.policies.pytree  # noqa: F401  (policies are part of jax wherever it is used)
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
+from gpcjax.errors import ForeignError
 from gpcjax.policies.policy import Policy as Policy
 from gpcjax.policies.vectors import FARTHEST as FARTHEST
 from gpcjax.policies.vectors import Vector as Vector
@@ -86,4 +87,15 @@ def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
 # Inline: where a policy is part of a larger program, that program is the same as without this function.
 @jax.jit(inline=True)
 def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
-    return jnp.clip(controller(jnp.clip(obs, -FARTHEST, FARTHEST)), -1.0, 1.0)
+    action = controller(jnp.clip(obs, -FARTHEST, FARTHEST))
+    if getattr(action, "shape", None) != (controller.action_size,):
+        raise ForeignError(
+            f"the policy of {type(getattr(controller, 'learner', controller)).__name__} does not fit",
+            f"an action is {_worded(action)}, it should be of shape ({controller.action_size},)",
+        )
+    return jnp.clip(action, -1.0, 1.0)
+
+
+def _worded(action: Any) -> str:
+    shape = getattr(action, "shape", None)
+    return f"a {type(action).__name__}" if shape is None else f"of shape {shape}"

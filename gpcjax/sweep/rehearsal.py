@@ -18,7 +18,8 @@ from gpcjax.envs.base import Env, started
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.fixed import fixed
-from gpcjax.learners.base import Info, Learner
+from gpcjax.learners.base import Learner
+from gpcjax.learners.forms import check, check_learned, does_not_fit, form, worded
 from gpcjax.moment import Moment
 from gpcjax.own_settings import OF_EVERY_SWEEP, is_column
 from gpcjax.registry import find
@@ -38,8 +39,8 @@ def rehearse_learner(name: str, learner: Learner) -> None:
     source = f"algo {name}: {type(learner).__name__}"
     here, learner = _moment(learner.obs_size, learner.action_size), _numbers(source, learner)
     state = _traced(f"{source}.init", lambda learner: learner.init(_key()), learner)
-    if any(_form(leaf) is None for leaf in jax.tree.leaves(state)):
-        raise _does_not_fit(f"{source}.init", f"the state is {_shown(state)}, it should be made of arrays")
+    if any(form(leaf) is None for leaf in jax.tree.leaves(state)):
+        raise does_not_fit(f"{source}.init", f"the state is {worded(state)}, it should be made of arrays")
     _refuse_keys(f"{source}.init: state", state)
 
     def proposes(learner: Learner, state: Any, obs: Any) -> Any:
@@ -49,24 +50,19 @@ def rehearse_learner(name: str, learner: Learner) -> None:
         return learner.learn(state, moment, advice, _key())
 
     action = _traced(f"{source}.propose", proposes, learner, state, here.obs)
-    _check(f"{source}.propose", "an action", action, here.action)
+    check(f"{source}.propose", "an action", action, here.action)
     if learner.joint:
         given = _traced(f"{source}.learn", learns, learner, state, here, here.action)
-        if not isinstance(given, tuple) or len(given) != 2 or not isinstance(given[1], Info):
-            raise _does_not_fit(
-                f"{source}.learn", f"it gives {_shown(given)}, it should give the new state and a gpcjax.Info"
-            )
-        _check(f"{source}.learn", "the new state", given[0], state)
-        _check(f"{source}.learn", "Info.rate", given[1].rate, here.action)
+        check_learned(f"{source}.learn", given, state, here.action)
     if learner.idle_every:
         after = _traced(f"{source}.idle", lambda learner, state: learner.idle(state, _key()), learner, state)
-        _check(f"{source}.idle", "the new state", after, state)
+        check(f"{source}.idle", "the new state", after, state)
     measured = _traced(f"{source}.measure", lambda learner, state: learner.measure(state), learner, state)
     if not isinstance(measured, Mapping) or any(
-        _form(each) is None or each.shape for each in measured.values()
+        form(each) is None or each.shape for each in measured.values()
     ):
-        raise _does_not_fit(
-            f"{source}.measure", f"it gives {_shown(measured)}, it should give a number for each name"
+        raise does_not_fit(
+            f"{source}.measure", f"it gives {worded(measured)}, it should give a number for each name"
         )
     for each in measured:
         if not isinstance(each, str) or not each.isidentifier():
@@ -113,15 +109,15 @@ def rehearse_teacher(name: str, teacher: Teacher, obs_size: int, action_size: in
     if teacher.watches:
         seen = _moment(obs_size, action_size, drawn=True)
         watched = _traced(f"{source}.watch", watch, teacher, memory, seen)
-        _check(f"{source}.watch", "the memory", watched, memory, exactly=True)
+        check(f"{source}.watch", "the memory", watched, memory, exactly=True)
     allowed = _traced(f"{source}.may_advise", may, teacher, here.action, sigma, number, number)
-    if _form(allowed) != (here.action.shape, jnp.dtype(bool)):
+    if form(allowed) != (here.action.shape, jnp.dtype(bool)):
         wanted = f"a truth value for each action dimension, bool of shape {here.action.shape}"
-        raise _does_not_fit(f"{source}.may_advise", f"it gives {_shown(allowed)}, it should give {wanted}")
+        raise does_not_fit(f"{source}.may_advise", f"it gives {worded(allowed)}, it should give {wanted}")
     advice = _traced(f"{source}.advise", advise, teacher, here.action, memory, here)
     if getattr(advice, "shape", None) != here.action.shape:
         wanted = f"-1, 0 or 1 for each action dimension, an array of shape {here.action.shape}"
-        raise _does_not_fit(f"{source}.advise", f"it gives {_shown(advice)}, it should give {wanted}")
+        raise does_not_fit(f"{source}.advise", f"it gives {worded(advice)}, it should give {wanted}")
     _refuse_unseen_sigma(source, teacher, memory, here)
 
 
@@ -192,7 +188,7 @@ def _numbers(source: str, thing: T) -> T:
         kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
         if not isinstance(kind, np.dtype) or kind.kind not in "biufcV":
             field = jax.tree_util.keystr(path).removeprefix(".")
-            raise _does_not_fit(source, f"its {field} is {_shown(leaf)}, it should be of numbers")
+            raise does_not_fit(source, f"its {field} is {worded(leaf)}, it should be of numbers")
         return jax.ShapeDtypeStruct(np.shape(leaf), kind)
 
     return jax.tree_util.tree_map_with_path(traced, fixed(thing))
@@ -218,10 +214,6 @@ def _traced(source: str, function: Callable[..., T], *arguments: Any) -> T:
         raise ForeignError(f"{source} fails", error) from None
 
 
-def _does_not_fit(source: str, why: str) -> ForeignError:
-    return ForeignError(f"{source} does not fit", why)
-
-
 def _key() -> Any:
     return jax.random.key(0)
 
@@ -235,35 +227,3 @@ def _moment(obs_size: int, action_size: int, asked: bool = False, drawn: bool = 
         return Moment(jnp.zeros(obs_size), action, number, number, *told, jnp.zeros(3) if drawn else None)
 
     return jax.eval_shape(made)
-
-
-def _check(source: str, what: str, given: Any, expected: Any, exactly: bool = False) -> None:
-    """Raises ForeignError: it has another structure or shape, or another type that is not the same with more digits."""
-    same = jax.tree.structure(given) == jax.tree.structure(expected)
-    if not same or not all(
-        _form(one) == _form(other) or (not exactly and _becomes(one, other))
-        for one, other in zip(jax.tree.leaves(given), jax.tree.leaves(expected), strict=True)
-    ):
-        raise _does_not_fit(source, f"{what} is {_shown(given)}, it should be {_shown(expected)}")
-
-
-def _becomes(one: Any, other: Any) -> bool:
-    """Whether an array is one of the other's type by what jax does with two types."""
-    alike = _form(one) is not None and _form(other) is not None and one.shape == other.shape
-    plain = alike and all(jnp.issubdtype(each.dtype, jnp.number) for each in (one, other))
-    return plain and jnp.promote_types(one.dtype, other.dtype) == other.dtype
-
-
-def _form(value: Any) -> tuple[Any, Any] | None:
-    shape, kind = getattr(value, "shape", None), getattr(value, "dtype", None)
-    return None if shape is None or kind is None else (shape, kind)
-
-
-def _shown(given: Any) -> str:
-    if (form := _form(given)) is not None:
-        return f"{form[1]} of shape {form[0]}"
-    if isinstance(given, tuple | list):
-        return f"({', '.join(map(_shown, given[:4]))}{', ...' if len(given) > 4 else ''})"
-    if isinstance(given, Mapping):
-        return f"{{{', '.join(f'{name!r}: {_shown(given[name])}' for name in [*given][:4])}}}"
-    return "None" if given is None else f"a {type(given).__name__}"

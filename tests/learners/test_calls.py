@@ -221,3 +221,121 @@ def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(value):
     environment = os.environ | {"JAX_CPU_ENABLE_ASYNC_DISPATCH": value}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == [str(value == "1")], done.stderr
+
+
+def pairs():
+    """A learner, and a state of another one: of other sizes, another grid, another kind of dictionary."""
+    gpc = lambda name="gpc", **options: make_learner(  # noqa: E731
+        name, **{"obs_size": 2, "action_size": 1, "capacity": 32} | options
+    )
+    coach = lambda count: make_learner(  # noqa: E731
+        "coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=[count]
+    )
+    dcoach = lambda width: make_learner("d-coach", obs_size=2, action_size=1, width=width, buffer_size=8)  # noqa: E731
+    yield gpc(obs_size=1), gpc().init()
+    yield gpc(action_size=2), gpc().init()
+    yield gpc(on_full="replace-nearest"), gpc("gpc-ns").init()
+    yield gpc("gpc-ns"), gpc().init()
+    yield gpc(), eqx.tree_at(lambda state: state.policy.targets, gpc().init(), jnp.zeros((1, 16)))
+    yield coach(5), coach(9).init()
+    yield dcoach(4), dcoach(6).init()
+    yield counting(), counting().init() | {"total": jnp.zeros(3)}
+
+
+@pytest.mark.parametrize(("learner", "state"), list(pairs()))
+def test_a_state_of_another_learner_is_refused(learner, state):
+    obs, none = np.zeros(learner.obs_size), np.zeros(learner.action_size)
+    for call in (
+        lambda: learner.act(state, obs),
+        lambda: learner.policy_of(state),
+        lambda: learner.uncertainty(state, obs, none),
+        lambda: learner.correct(state, obs, none, none),
+        lambda: gpcjax.Session(learner, state),
+    ):
+        with pytest.raises(ValueError, match=r"^state .*: give a state of this learner"):
+            call()
+
+
+def test_a_state_of_any_room_is_ones_own():
+    learner = make_learner("gpc", obs_size=2, action_size=1, capacity=4)
+    for state in (learner.grow(learner.init()), learner.resize(learner.init(), 32, 4)):
+        assert learner.act(state, [0.1, 0.2]).shape == (1,) and learner.policy_of(state)
+
+
+class Linear(gpcjax.Learner):
+    def init(self, key=None):
+        return jnp.zeros((self.action_size, self.obs_size))
+
+    def propose(self, state, obs):
+        return state @ obs
+
+    def learn(self, state, moment, advice, key):
+        return state + 0.1 * jnp.outer(advice, moment.obs), gpcjax.Info.of(rate=0.1 * jnp.abs(advice))
+
+
+class Narrow(Linear):
+    def init(self, key=None):
+        return jnp.zeros((1, self.obs_size))
+
+
+class Flat(Linear):
+    def learn(self, state, moment, advice, key):
+        return state, gpcjax.Info.of(rate=jnp.ones(1))
+
+
+class Short(Linear):
+    def init(self, key=None):
+        return jnp.zeros((self.action_size, self.obs_size), jnp.float32)
+
+
+class Told(Linear):
+    def learn(self, state, moment, advice, key):
+        return state
+
+
+SIZES = {"obs_size": 3, "action_size": 2}
+
+
+@pytest.mark.parametrize("own", [Flat, Short, Told])
+def test_what_learning_gives_is_looked_at(own):
+    learner = own(**SIZES)
+    with pytest.raises(ValueError, match=rf"^{own.__name__}.learn does not fit \("):
+        learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
+    with pytest.raises(ValueError, match=rf"^{own.__name__}.learn does not fit \("):
+        gpcjax.Session(learner)
+
+
+def test_an_action_of_another_size():
+    learner = Narrow(**SIZES)
+    state = learner.init()
+    with pytest.raises(ValueError, match=r"^Narrow.propose does not fit \(an action is float64 of shape"):
+        learner.act(state, np.ones(3))
+    with pytest.raises(ValueError, match=r"^Narrow.propose does not fit"):
+        gpcjax.Session(learner)
+    with pytest.raises(
+        ValueError, match=r"^the policy of Narrow does not fit \(an action is of shape \(1,\)"
+    ):
+        learner.policy_of(state)(np.ones(3))
+
+
+def test_a_state_with_pythons_numbers():
+    class Counted(Linear):
+        def init(self, key=None):
+            return {"weights": super().init(key), "n": 0}
+
+        def propose(self, state, obs):
+            return state["weights"] @ obs
+
+        def learn(self, state, moment, advice, key):
+            weights, info = super().learn(state["weights"], moment, advice, key)
+            return {"weights": weights, "n": state["n"] + 1}, info
+
+    learner = Counted(**SIZES)
+    session, state = gpcjax.Session(learner), learner.init()
+    for _ in range(3):
+        action = learner.act(state, np.ones(3))
+        np.testing.assert_array_equal(session.propose(np.ones(3)), action)
+        np.testing.assert_array_equal(learner.policy_of(state)(np.ones(3)), action)
+        session.advise([1, 0])
+        state, _ = learner.correct(state, np.ones(3), action, [1, 0])
+    assert state["n"] == session.state["n"] == 3
