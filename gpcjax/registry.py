@@ -85,18 +85,30 @@ def find(kind: Kind, name: Any, source: str = "") -> Any:
     source = source or _WORD[kind]
     if not isinstance(name, str):
         raise UserError(f"{source} {shown(name)}: give {_choices(kind)}")
-    if (kind, name) not in _FOUND:
-        _FOUND[kind, name] = _built_in(kind).get(name) or _elsewhere(kind, name, source)
-    return _FOUND[kind, name]
+    known = _FOUND.get((kind, name))
+    if known is None or known[1] is not _present(name):
+        spec = _built_in(kind).get(name) or _elsewhere(kind, name, source)
+        known = _FOUND[kind, name] = spec, _present(name)
+    return known[0]
 
 
-_FOUND: dict[tuple[Kind, str], Spec] = {}
-"""What was found: a person's module is imported, and what it makes is looked at, once in a process."""
+_FOUND: dict[tuple[Kind, str], tuple[Spec, Any]] = {}
+"""What was found, and what a person's module had there: it is imported, and what it makes is looked at, once in a
+process, and again where it has another class or function now, as in a notebook, or after `importlib.reload`."""
+
+
+def _present(name: str) -> Any:
+    """What a person's module that was imported has under a name; None of any other name."""
+    module, colon, attribute = name.partition(":")
+    found = sys.modules.get(module) if colon and module not in ("gym", "brax", "replay") else None
+    for part in attribute.split("."):
+        found = getattr(found, part, None)
+    return found
 
 
 def found(kind: Kind, name: str) -> Any:
     """The description of a name that was asked for before in this process; None of any other."""
-    return _FOUND.get((kind, name))
+    return _FOUND.get((kind, name), (None,))[0]
 
 
 def _elsewhere(kind: Kind, name: str, source: str) -> Spec:

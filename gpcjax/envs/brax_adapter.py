@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from gpcjax._x64 import under_own_settings
+from gpcjax._x64 import seeded_key, under_own_settings
 from gpcjax.allowed import STEPS, checked, shown
 from gpcjax.envs.base import Env, State, begin
 from gpcjax.envs.brax_training import quiet
@@ -118,7 +118,7 @@ def brax_env(env: Any, *, max_steps: Any = 1000, name: Any = None, **arguments: 
             raise ValueError(f"{label} is wrapped in {type(layer).__name__}; give the environment without it")
         layer = layer.env
 
-    obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    obs = jax.eval_shape(env.reset, seeded_key()).obs
     if not (isinstance(obs, jax.ShapeDtypeStruct) and len(obs.shape) == 1):
         raise ValueError(f"{label}: observations must be one flat array, got {obs}")
     return BraxEnv(env=env, label=name or label, sizes=(obs.shape[0], env.action_size), max_steps=max_steps)

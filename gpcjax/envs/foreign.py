@@ -10,6 +10,7 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax import registry
+from gpcjax._x64 import seeded_key
 from gpcjax.allowed import POSITIVE, checked, checked_series, converted, shown
 from gpcjax.describe import TaskSpec
 from gpcjax.envs.base import Env, State, fitted, limited, started, stepped
@@ -195,7 +196,7 @@ def _check(source: str, env: Env) -> None:
                 f"obs_size, action_size and max_steps must be whole numbers above zero, got {sizes}"
             )
         action = jax.ShapeDtypeStruct((env.action_size,), float)
-        jax.eval_shape(lambda action: stepped(env, started(env, jax.random.key(0)), action), action)
+        jax.eval_shape(lambda action: stepped(env, started(env, seeded_key()), action), action)
     except UserError as error:
         raise UserError(f"{source}: {error}") from None
     except Exception as error:

@@ -15,7 +15,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
+from gpcjax._x64 import seeded_key
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners import compiled
 from gpcjax.learners.forms import check_learned
@@ -109,7 +111,10 @@ class Learner(ByIdentity):
         It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
         """
         compiled.check_state(self, state)
-        return Policy(self.controller(state))
+        known = {id(leaf) for leaf in jax.tree.leaves(state)}
+        # Copied where they are the state's own, which may be given away (`donate`), or written into if it is numpy's.
+        own = lambda leaf: jnp.array(leaf) if id(leaf) in known and not isinstance(leaf, Tracer) else leaf  # noqa: E731
+        return Policy(jax.tree.map(own, self.controller(state)))
 
     def uncertainty(self, state: State, obs: Vector, action: Vector) -> Float[Array, " action"]:
         """sigma_h at (obs, action): how little advice was given there (3.6). (action_size,); NaN for COACH.
@@ -209,7 +214,7 @@ class Learner(ByIdentity):
 
     def controller(self, state: State) -> Controller:
         """The policy of `state`, ready for many steps."""
-        return Proposing(learner=self, state=state)
+        return Proposing(learner=fixed(self), state=state)
 
     def points(self, state: State) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Points held by the policies and by the human models, over all action dimensions; 0, 0 without any."""
@@ -217,7 +222,7 @@ class Learner(ByIdentity):
 
     def _like(self, state: State) -> State:
         """A state with as much room as this one has: of the same shapes, if it is one of this learner."""
-        return self.init(jax.random.key(0))
+        return self.init(seeded_key())
 
     def _uncertainty(
         self, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]

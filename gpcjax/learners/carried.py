@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gpcjax._x64 import under_own_settings
+from gpcjax._x64 import seeded_key, under_own_settings
 from gpcjax.errors import UserError
 from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
@@ -64,7 +64,7 @@ def carried(
     alike = type(source) is type(learner) and all(
         _same(getattr(source, name), getattr(learner, name)) for name in names
     )
-    if not alike or _forms(state) != _forms(jax.eval_shape(lambda: learner.init(jax.random.key(0)))):
+    if not alike or _forms(state) != _forms(jax.eval_shape(lambda: learner.init(seeded_key()))):
         names = " and another ".join(("size", *names))
         what = f"of another {names}" if type(source) is type(learner) else "of another kind"
         raise UserError(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
+from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.learners.calls import Called
@@ -53,7 +54,7 @@ def correct(
     _check_precision(learner, state)
     if learner.joint:
         here = Moment(obs=obs, action=action, episode=jnp.int32(0), step=jnp.int32(0))
-        return learner._learn(state, here, advice, jax.random.key(0))
+        return learner._learn(state, here, advice, seeded_key())
 
     def one(state: State, given: tuple[Array, Array, Array]) -> tuple[State, Info]:
         dimension, action, advice = given
@@ -80,7 +81,7 @@ def rehearse(learner: Learner, state: State) -> None:
 
 def check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
-    expected = jax.eval_shape(lambda: learner.init(jax.random.key(0)))
+    expected = jax.eval_shape(lambda: learner.init(seeded_key()))
     shapes = list(map(_shape, jax.tree.leaves(state)))
     if jax.tree.structure(state) == jax.tree.structure(expected) and None not in shapes:
         expected = jax.eval_shape(lambda: learner._like(state))
@@ -103,7 +104,7 @@ def _check_precision(learner: Learner, state: State) -> None:
     check_state(learner, state)
     given, kept = (
         {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
-        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(jax.random.key(0))))
+        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(seeded_key())))
     )
     if given - kept:
         raise ValueError(

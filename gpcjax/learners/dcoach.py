@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from gpcjax._x64 import seeded_key
 from gpcjax.allowed import FINITE, Numbers, checked, checked_series
 from gpcjax.elementary import tanh
 from gpcjax.learners.base import Info, Learner, Moment
@@ -77,7 +78,7 @@ class DCoach(Learner):
     def init(self, key: PRNGKeyArray | None = None) -> DCoachState:
         """A network of random weights (Glorot and Bengio 2010) without offsets, and an empty buffer."""
         sizes = (self.obs_size, self.width, self.width, self.action_size)
-        keys = jax.random.split(jax.random.key(0) if key is None else key, len(sizes) - 1)
+        keys = jax.random.split(seeded_key() if key is None else key, len(sizes) - 1)
         layers = tuple(_layer(*pair) for pair in zip(sizes[:-1], sizes[1:], keys, strict=True))
         return DCoachState(
             layers=layers,

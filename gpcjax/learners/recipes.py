@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from gpcjax._x64 import under_own_settings
+from gpcjax._x64 import seeded_key, under_own_settings
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.factory import make_learner
@@ -139,7 +139,7 @@ def leaves_of(tree: Any) -> dict[str, Any]:
 def _shapes(learner: Learner) -> tuple[Learner, State]:
     """The learner itself, all of whose numbers are arrays, and the shapes of its first state."""
     learner = jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
-    return learner, jax.eval_shape(lambda: learner.init(jax.random.key(0)))
+    return learner, jax.eval_shape(lambda: learner.init(seeded_key()))
 
 
 def _is_plain(leaf: Any) -> bool:

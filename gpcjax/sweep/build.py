@@ -176,7 +176,12 @@ def make_oracle(
     Raises:
         ValueError: an unknown name, or a number out of range.
     """
-    expert = make_expert(env_name, expert_names(env_name)[0] if expert_name is None else expert_name)
+    known = expert_names(env_name)
+    if expert_name is None and not known:
+        raise UserError(
+            f"{env_name} has no expert: give expert_name, a saved policy's folder or module:function"
+        )
+    expert = make_expert(env_name, known[0] if expert_name is None else expert_name)
     given = {"rate": rate, "error": error, "delta": delta, "active_gain": active_gain}
     numbers = {name: checked(name, value, float, OPTIONS[name].allowed) for name, value in given.items()}
     return Advisor(expert=expert, oracle=synthesised(**numbers), **sizes_of(find("task", env_name)))

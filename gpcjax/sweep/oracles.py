@@ -17,9 +17,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
+from gpcjax._x64 import seeded_key
 from gpcjax.engine.evaluate import evaluate
 from gpcjax.engine.pool import Finished
 from gpcjax.envs.registry import make_env, make_expert, shipped
@@ -118,7 +118,7 @@ def _reinforce(env_name: str, expert_name: str, name: str, target: np.ndarray) -
     """A network learns from the task's reward alone; ships the first that is as good as the expert."""
     training, tried = NETWORKS[env_name], []
     for seed in range(NETWORK_SEEDS):
-        controller, _ = train(make_env(env_name), training, jax.random.key(seed))
+        controller, _ = train(make_env(env_name), training, seeded_key(seed))
         returns = _returns(env_name, controller)
         if _good(returns, target):
             _ship(name, controller, {

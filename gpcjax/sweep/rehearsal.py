@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.engine.lanes import Start, memory_of
 from gpcjax.envs.base import Env, started
@@ -215,7 +216,7 @@ def _traced(source: str, function: Callable[..., T], *arguments: Any) -> T:
 
 
 def _key() -> Any:
-    return jax.random.key(0)
+    return seeded_key()
 
 
 def _moment(obs_size: int, action_size: int, asked: bool = False, drawn: bool = False) -> Any:

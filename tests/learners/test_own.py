@@ -1,0 +1,142 @@
+"""Learners, tasks and oracles of a person's own, made and called from Python."""
+
+import sys
+import types
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gpcjax
+from gpcjax.fixed import fixed
+from gpcjax.registry import find
+from tests.trees import assert_same_bits
+
+
+class Units(gpcjax.Learner):
+    """Whole numbers and a text, which are no arrays; and a number."""
+
+    units: int = 3
+    kind: str = "more"
+    step_size: jax.Array = eqx.field(default=0.5, converter=gpcjax.parameter)
+
+    def init(self, key=None):
+        return jnp.zeros((self.units, self.action_size, self.obs_size))
+
+    def propose(self, state, obs):
+        total = sum(state[unit] @ obs for unit in range(self.units))
+        return total if self.kind == "more" else -total
+
+    def learn(self, state, moment, advice, key):
+        change = self.step_size * jnp.outer(advice, moment.obs)
+        return state + change[None], gpcjax.Info.of(rate=jnp.abs(change @ moment.obs))
+
+
+STEP = gpcjax.Setting("step_size", "alpha", gpcjax.Numbers(0, 1, above=True), "how far", default=0.5)
+SIZES = {"obs_size": 2, "action_size": 1}
+OBS = np.array([0.3, -0.1])
+
+
+@pytest.fixture
+def module(monkeypatch):
+    """A person's module, `mine_here`."""
+    made = types.ModuleType("mine_here")
+    monkeypatch.setitem(sys.modules, "mine_here", made)
+    monkeypatch.setattr("gpcjax.registry._FOUND", {})
+    made.Units = Units
+    made.UNITS = gpcjax.LearnerSpec(name="units", make=Units, settings=(STEP,))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("UNITS", {"step_size": 5.0}, r"^step_size 5.0: give a number from 0 to 1"),
+        ("UNITS", {"step_size": np.nan}, "^step_size nan: give a number"),
+        ("UNITS", {"step_size": [0.1, 0.2]}, r"^step_size \[0.1, 0.2\]: give a number"),
+        ("Units", {"step_size": "0.5"}, "^step_size '0.5': give a finite number"),
+        ("Units", {"step_size": True}, "^step_size True: give a finite number"),
+        ("Units", {"units": 2.5}, "^units 2.5: give a whole number"),
+        ("Units", {"unit": 2}, r"'unit' is not an option of this learner \(did you mean units\?\)"),
+    ],
+)
+def test_settings_are_held_to_their_bounds(module, name, value, message):
+    with pytest.raises(ValueError, match=message):
+        gpcjax.make_learner(f"mine_here:{name}", **SIZES, **value)
+
+
+def test_all_that_a_class_takes_may_be_given(module):
+    made = gpcjax.make_learner("mine_here:Units", **SIZES, units=np.int64(2), kind="less", step_size=1)
+    assert (made.units, made.kind, float(made.step_size)) == (2, "less", 1.0)
+
+
+@pytest.mark.parametrize("kind", ["more", "less"])
+def test_one_made_by_its_class_has_a_policy(kind):
+    learner = Units(**SIZES, kind=kind)
+    state, _ = learner.correct(learner.init(), OBS, [0.0], [1])
+    action = learner.act(state, OBS)
+    assert action != 0
+    assert_same_bits(learner.policy_of(state)(OBS), action)
+    session = gpcjax.Session(learner, state)
+    np.testing.assert_array_equal(session.policy()(OBS), action)
+
+
+def learners():
+    yield gpcjax.make_learner("gpc", **SIZES, capacity=4)
+    yield gpcjax.make_learner("coach", obs_size=2, action_size=1, lower=-1, upper=1, counts=[3, 3])
+    yield gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
+    yield fixed(Units(**SIZES))
+
+
+@pytest.mark.parametrize("learner", list(learners()), ids=lambda learner: type(learner).__name__)
+def test_a_policy_stays_when_its_state_is_given_away(learner):
+    state, _ = learner.correct(learner.init(), OBS, [0.0], [1])
+    early, late = learner.policy_of(state), learner.policy_of(state)
+    before = np.array(early(OBS))
+    for _ in range(3):
+        state, _ = learner.correct(state, OBS, [0.0], [1], donate=True)
+    assert_same_bits(np.array(early(OBS)), before)
+    assert_same_bits(np.array(late(OBS)), before)
+    assert_same_bits(np.array(late(jnp.asarray(OBS))), np.array(early(jnp.asarray(OBS))))
+
+
+def test_a_class_that_is_written_anew_is_the_new_one(module):
+    def drift(reward):
+        class Drift(gpcjax.Env):
+            obs_size, action_size, max_steps = 1, 1, 5
+
+            def reset(self, key):
+                return self.begin(jnp.zeros(1))
+
+            def step(self, state, action):
+                return self.advance(state, state.physics, reward=reward)
+
+        return Drift
+
+    for reward in (1.0, 2.0):
+        module.Drift = drift(reward)
+        env = gpcjax.make_env("mine_here:Drift")
+        assert gpcjax.evaluate(env, lambda obs: obs, 1).returns.tolist() == [5 * reward]
+    assert find("task", "mine_here:Drift") is find("task", "mine_here:Drift")
+    with pytest.raises(ValueError, match=r"^mine_here:Drift has no expert: give expert_name"):
+        gpcjax.make_oracle("mine_here:Drift")
+
+
+@pytest.mark.parametrize(("name", "value"), [("jax_random_seed_offset", 7), ("jax_default_prng_impl", "rbg")])
+def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
+    learner = gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
+    twice = []
+    before = getattr(jax.config, name)
+    try:
+        for each in (before, value):
+            jax.config.update(name, each)
+            jax.clear_caches()
+            state = learner.init()
+            for _ in range(3):
+                state, _ = learner.correct(state, OBS, [0.0], [1])
+            twice.append(state)
+    finally:
+        jax.config.update(name, before)
+    assert_same_bits(*twice)
