@@ -31,7 +31,7 @@ class Numbers:
         if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
             return False
         inside = self.low < value if self.above else self.low <= value
-        return inside and value <= self.high and math.isfinite(value)
+        return inside and value <= self.high and (isinstance(value, int) or math.isfinite(value))
 
     def __str__(self) -> str:
         noun = "a whole number" if self.whole else "a number"

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from gpcjax.allowed import checked_path
+from gpcjax.allowed import checked_path, holds_numbers, shown
 from gpcjax.errors import UserError
 
 FORMAT = 1
@@ -142,6 +142,23 @@ class Deferred(Recording):
             for _ in taken:
                 self._waiting.popleft()
             super().flush()
+
+
+def as_json(values: Mapping[str, Any]) -> dict[str, Any]:
+    """`values` as a line keeps them. Raises UserError: JSON knows no such value."""
+    try:
+        return json.loads(json.dumps(values, allow_nan=False, default=_of_numpy))
+    except (TypeError, ValueError, RecursionError):
+        raise UserError(
+            f"note {shown(dict(values))}: give what JSON knows, texts, truth values, finite numbers, lists and tables"
+        ) from None
+
+
+def _of_numpy(value: Any) -> Any:
+    """A number or an array of numpy's or jax's as one of Python's, or a list of them."""
+    if not holds_numbers(value) and getattr(getattr(value, "dtype", None), "kind", "") != "b":
+        raise TypeError
+    return value.tolist()
 
 
 def _line(event: Mapping[str, Any]) -> str:

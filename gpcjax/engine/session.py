@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
-from gpcjax.allowed import shown
+from gpcjax.allowed import is_no_data, shown
 from gpcjax.engine.classroom import Classroom
 from gpcjax.engine.course import Course, checked_settings, credit_of
 from gpcjax.engine.desk import Advised, Alone, Desk
@@ -33,7 +33,7 @@ from gpcjax.learners.compiled import rehearse
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
-from gpcjax.recording import Deferred, Recording
+from gpcjax.recording import Deferred, Recording, as_json
 
 
 class Session:
@@ -144,7 +144,7 @@ class Session:
 
     @property
     def undos(self) -> int:
-        """How many of the latest corrections `undo` can take back."""
+        """How many of the latest advices `undo` can take back, also those from which nothing was learned."""
         return len(self._undos)
 
     @property
@@ -179,9 +179,22 @@ class Session:
         obs = self._numbers("obs", obs, self.learner.obs_size)
         return self._course.desk.acts(obs)
 
-    def act_at(self, obs: Float[np.ndarray, "obs points"]) -> Float[np.ndarray, "action points"]:
-        """The same at many observations."""
-        return self._course.desk.acts_at(np.asarray(obs, float))
+    def act_at(self, obs: Any) -> Float[np.ndarray, "action points"]:
+        """The same at many observations, the columns of `obs` (obs_size, points), an array or lists.
+
+        Raises:
+            ValueError: another shape, or what is no number.
+        """
+        size = self.learner.obs_size
+        try:
+            given = np.asarray(obs)
+        except (TypeError, ValueError):  # of several lengths
+            given = np.empty(0)
+        if given.ndim != 2 or len(given) != size or given.dtype.kind not in "fiu" or is_no_data(obs):
+            raise UserError(f"obs {shown(obs)}: give real numbers of shape ({size}, points)")
+        if not np.isfinite(given).all():
+            raise UserError(f"obs {shown(obs)}: each entry must be finite")
+        return self._course.desk.acts_at(given.astype(float))
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.
@@ -230,7 +243,10 @@ class Session:
             return done
 
     def undo(self) -> bool:
-        """Takes the latest advice back, with all that was learned since; False if there is none to take back."""
+        """Takes the latest advice back, with all that was learned since; False if there is none to take back.
+
+        Advice from which nothing was learned, as it was zero or there was no room for it, is one to take back, too.
+        """
         course = self._course
         with self._lock:
             if not self._undos:
@@ -251,9 +267,14 @@ class Session:
             course.keep("end")
 
     def note(self, **values: Any) -> None:
-        """Keeps `values`, as JSON knows them, in the recording, if there is one: when a key was pressed, for one."""
+        """Keeps `values`, as JSON knows them, in the recording, if there is one: when a key was pressed, for one.
+
+        Raises:
+            ValueError: JSON knows no such value; of numpy's, numbers and arrays of them are taken.
+        """
+        known = as_json(values)
         with self._lock:
-            self._course.keep("note", values=values)
+            self._course.keep("note", values=known)
 
     def flush(self) -> None:
         """Has the recording on the disk, as far as it goes; without it, that is left to the system.

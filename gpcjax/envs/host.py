@@ -191,7 +191,7 @@ class Simulation:
             given = self._env.step(action)
         except Exception as error:
             raise ForeignError(f"env {self._name}: its step fails", error) from None
-        if len(given) != 5:
+        if not isinstance(given, tuple | list) or len(given) != 5:
             raise self._odd("step", "result", given, "(obs, reward, terminated, truncated, info)")
         obs, reward, terminated, truncated, _ = given
         self._time += 1

@@ -155,4 +155,9 @@ def _parameter(env_name: str, name: str, value: Any) -> Any:
     source = f"{env_name}: {name}"
     if name == "max_steps":
         return checked(source, value, int, STEPS)
-    return value if holds_numbers(value) else checked(source, value, float, FINITE)
+    if holds_numbers(value) and getattr(value, "shape", None) == ():
+        from gpcjax.policies.vectors import is_traced
+
+        if is_traced(value):
+            return value
+    return checked(source, value, float, FINITE)

@@ -10,13 +10,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
+from gpcjax.allowed import shown
 from gpcjax.elementary import decay
 from gpcjax.errors import UserError
 from gpcjax.lateness import DELAY, lateness
 from gpcjax.moment import Moment
 from gpcjax.policies.base import ByIdentity, Vector, check_executed, vector
+from gpcjax.policies.vectors import is_traced
 from gpcjax.teachers.base import Teacher
 
 
@@ -201,15 +204,19 @@ class Advisor(ByIdentity):
         return self.expert(jnp.asarray(vector("obs", obs, self.obs_size, "this oracle")))
 
     def advise(
-        self, key: PRNGKeyArray, obs: Vector, action: Vector, sigma_human: Vector | None = None
+        self, key: Any, obs: Vector, action: Vector, sigma_human: Vector | None = None
     ) -> Float[Array, " action"]:
         """H (action_size,), each -1, 0 or 1, for an executed action, which is in [-1, 1]. Consumes `key`.
 
         Raises:
             ValueError: a shape does not fit, the action is beyond [-1, 1] (its value is not known where jax traces it:
-                clip it there), or active learning needs `sigma_human`, from `Learner.uncertainty`.
+                clip it there), what is given is no number, `key` is no random key, or active learning needs
+                `sigma_human`, from `Learner.uncertainty`.
         """
-        action = self._of_actions("action", action)
+        if not _is_key(key):
+            raise UserError(f"key {shown(key)}: give a random key, from jax.random.key or jax.random.split")
+        action = _finite("action", self._of_actions("action", action))
+        obs = _finite("obs", jnp.asarray(vector("obs", obs, self.obs_size, "this oracle")))
         check_executed(action)
         if sigma_human is None:
             if self.oracle.active:
@@ -217,7 +224,7 @@ class Advisor(ByIdentity):
             sigma_human = jnp.zeros_like(action)
         coins = jax.random.uniform(key, action.shape)
         moment = Moment(
-            obs=jnp.asarray(vector("obs", obs, self.obs_size, "this oracle")),
+            obs=obs,
             action=action,
             episode=jnp.int32(0),
             step=jnp.int32(0),
@@ -228,3 +235,18 @@ class Advisor(ByIdentity):
 
     def _of_actions(self, name: str, value: Vector) -> Float[Array, " action"]:
         return jnp.asarray(vector(name, value, self.action_size, "this oracle"))
+
+
+def _finite(name: str, value: Array) -> Array:
+    """A vector, if all of it is finite, as far as that is known where jax traces it."""
+    if not is_traced(value) and not np.isfinite(np.asarray(value)).all():
+        raise UserError(f"{name} {shown(np.asarray(value).tolist())}: each entry must be finite")
+    return value
+
+
+def _is_key(key: Any) -> bool:
+    """Whether it is one random key, of jax's own type or as an array of its words."""
+    kind = getattr(key, "dtype", None)
+    if kind is None or not jnp.issubdtype(kind, jax.dtypes.prng_key):
+        return kind == np.uint32 and np.ndim(key) == 1
+    return key.shape == ()

@@ -158,6 +158,7 @@ gymnasium.register("OddGym-v0", entry_point=OddGym)
         ((np.zeros(2), np.zeros(1), False, False, {}), r"reward is float64 of shape \(1,\), declared is a real number"),
         ((np.zeros(2), None, False, False, {}), r"reward is None, declared is a real number"),
         ((np.zeros(2), 0.0, 0.0, False, {}), r"terminated is 0.0, declared is a truth value"),
+        (None, r"result is None, declared is \(obs, reward, terminated, truncated, info\)"),
         ((np.zeros(2), 0.0, False, {}), r"result is .*, declared is \(obs, reward, terminated, truncated, info\)"),
     ],
     ids=str,

@@ -140,3 +140,71 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
     finally:
         jax.config.update(name, before)
     assert_same_bits(*twice)
+
+
+@pytest.fixture
+def session():
+    return gpcjax.Session(Units(**SIZES))
+
+
+@pytest.mark.parametrize(
+    ("obs", "message"),
+    [
+        ([[0.1], [0.2], [0.3]], r"give real numbers of shape \(2, points\)"),
+        ([0.1, 0.2], r"give real numbers of shape \(2, points\)"),
+        ([[0.1], [0.2, 0.3]], r"give real numbers of shape \(2, points\)"),
+        ([["a"], ["b"]], r"give real numbers of shape \(2, points\)"),
+        ([[np.nan], [0.2]], "each entry must be finite"),
+    ],
+)
+def test_observations_of_act_at(session, obs, message):
+    with pytest.raises(ValueError, match=rf"^obs .*{message}"):
+        session.act_at(obs)
+    assert session.act_at([[0, 1, 2], [0, 1, 2]]).shape == (1, 3)
+
+
+def test_a_note_is_what_json_knows(session, tmp_path):
+    recorded = gpcjax.Session(Units(**SIZES), record=tmp_path / "it.jsonl")
+    for each in (session, recorded):
+        each.note(x=np.float32(1), several=np.arange(2), yes=np.True_, jaxs=jnp.float64(0.5), text="a")
+        for value in (np.nan, jnp.inf, object(), {1, 2}, np.array("2026", "M8")):
+            with pytest.raises(ValueError, match=r"^note .*: give what JSON knows"):
+                each.note(x=value)
+    assert '"values": {"x": 1.0, "several": [0, 1], "yes": true, "jaxs": 0.5, "text": "a"}' in (
+        tmp_path / "it.jsonl"
+    ).read_text("utf-8")
+
+
+def test_an_advice_of_zero_is_one_to_take_back(session):
+    session.propose(OBS)
+    session.advise(0)
+    assert (session.undos, session.corrections) == (1, 0)
+    assert session.undo() and session.undos == 0
+
+
+def test_an_oracle_is_given_numbers_and_a_key():
+    oracle, key = gpcjax.make_oracle("cartpole", rate=1.0), jax.random.key(0)
+    for given in (0, None, jax.random.split(key, 2), np.zeros(2)):
+        with pytest.raises(ValueError, match=r"^key .*: give a random key, from jax.random.key"):
+            oracle.advise(given, np.zeros(4), [0.0])
+    with pytest.raises(ValueError, match=r"^obs .*: each entry must be finite"):
+        oracle.advise(key, [np.nan, 0, 0, 0], [0.0])
+    with pytest.raises(ValueError, match=r"^action .*: each entry must be finite"):
+        oracle.advise(key, np.zeros(4), [np.nan])
+    # COACH does not know how uncertain it is.
+    oracle.advise(key, np.zeros(4), [0.0], sigma_human=[np.nan])
+    assert jax.jit(oracle.advise)(key, jnp.zeros(4), jnp.zeros(1)).shape == (1,)
+
+
+@pytest.mark.parametrize("value", [np.array([0.1, 0.2]), jnp.array([0.1]), np.float64("nan")])
+def test_a_parameter_of_a_task_is_one_number(value):
+    with pytest.raises(ValueError, match=r"^cartpole: pole_mass .*: give a finite number"):
+        gpcjax.make_env("cartpole", pole_mass=value)
+    masses = jax.vmap(lambda mass: gpcjax.make_env("cartpole", pole_mass=mass).pole_mass)(jnp.ones(2))
+    assert masses.tolist() == [1.0, 1.0]
+    assert float(gpcjax.make_env("cartpole", pole_mass=np.float32(0.5)).pole_mass) == 0.5
+
+
+def test_a_whole_number_of_any_length_is_told():
+    assert gpcjax.Numbers(whole=True).admits(10**400)
+    assert not gpcjax.Numbers(0, 9, whole=True).admits(10**400)
