@@ -74,9 +74,7 @@ def block_coins(block: Lane) -> Float[Array, "action lanes"]:
 
 def _coins_once(block: Lane) -> Float[Array, "action lanes"]:
     """The same, where any lane waits: behind that condition XLA draws them once, and not anew for each use of them."""
-    return lax.cond(
-        block.waiting.any(), lambda: block_coins(block), lambda: jnp.ones_like(block.action)
-    )
+    return lax.cond(block.waiting.any(), lambda: block_coins(block), lambda: jnp.ones_like(block.action))
 
 
 def may_advise(
