@@ -284,22 +284,31 @@ def figures_unpainted():
         yield
 
 
-@pytest.fixture(scope="module", autouse=True)
-def compiled_programs_are_freed():
-    """After each module: they hold gigabytes otherwise, and no module uses another's."""
-    yield
-    _free()
-
-
 @pytest.fixture(autouse=True)
-def programs_of_a_large_module_are_freed():
-    """Within a module as well, where so much is held that the next tests would go beyond what is allowed."""
+def what_is_held_is_given_back():
+    """Where so much is held that the next tests would go beyond what is allowed."""
     yield
-    if _held() > LARGE:
-        _free()
+    Held.keep_below()
 
 
-LARGE = 1.1e9
+LARGE, MORE = 0.9e9, 0.2e9
+"""Bytes up to which nothing is given back: at all, and more than were left the last time."""
+
+
+class Held:
+    """How much of its memory this process gives back, and when."""
+
+    limit = LARGE
+
+    @classmethod
+    def keep_below(cls):
+        """Garbage goes first, and compiled programs if that was not enough: tests that follow use them, too."""
+        if _held() > cls.limit:
+            _give_back()
+            if _held() > cls.limit:
+                jax.clear_caches()
+                _give_back()
+                cls.limit = max(LARGE, _held() + MORE)
 
 
 def _held():
@@ -311,8 +320,7 @@ def _held():
         return 0
 
 
-def _free():
-    jax.clear_caches()
+def _give_back():
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
     if trim is not None:

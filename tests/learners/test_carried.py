@@ -32,6 +32,16 @@ def taught(learner, corrections=20):
     return state
 
 
+@jax.jit
+def _dense(process, points, query, scale):
+    return process.kernel.gram(points, scale), process.kernel.covariances(points, query, scale)
+
+
+def dense_of(*given):
+    """The Gram matrix of all places of a dictionary, and their covariances with a query."""
+    return map(np.asarray, _dense(*given))
+
+
 def on_host(learner):
     """As a sweep has it."""
     return jax.tree.map(np.asarray, learner)
@@ -75,9 +85,9 @@ def test_other_hyperparameters_and_relatives_keep_points_and_targets(algo, targe
             )
             assert_same_bits((after.points[:count], after.targets[:count]), (points, targets))
             assert after.count == count and not after.points[count:].any()
-            gram = process.kernel.gram(points, after.scale) + float(process.noise) * np.eye(count)
-            k = process.kernel.covariances(points, jnp.asarray(query), after.scale)
-            weights = np.linalg.solve(gram, np.asarray(k))
+            gram, k = dense_of(process, after.points, query, after.scale)
+            gram, k = gram[:count, :count] + float(process.noise) * np.eye(count), k[:count]
+            weights = np.linalg.solve(gram, k)
             dense[name] = weights @ targets, np.sqrt(float(process.prior) - weights @ k)
         np.testing.assert_allclose(acts[dimension], np.clip(dense["policy"][0], -1, 1), rtol=0, atol=1e-8)
         np.testing.assert_allclose(uncertain[dimension], dense["human"][1], rtol=0, atol=1e-8)
