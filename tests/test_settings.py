@@ -51,12 +51,13 @@ def asked(request):
         jax.config.update(name, value)
 
 
-def each_alone(name):
-    return pytest.param({name: SETTINGS[name]}, id=name, marks=() if name == "jax_enable_x64" else pytest.mark.slow)
-
-
 all_settings = pytest.mark.parametrize(
-    "asked", [pytest.param(SETTINGS, id="all at once"), *map(each_alone, SETTINGS)], indirect=True
+    "asked",
+    [
+        pytest.param(SETTINGS, id="all at once"),
+        *(pytest.param({name: SETTINGS[name]}, id=name, marks=pytest.mark.slow) for name in SETTINGS),
+    ],
+    indirect=True,
 )
 """Of all at once, one that is let through has the effect that it has alone."""
 

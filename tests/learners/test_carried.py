@@ -93,22 +93,22 @@ def test_other_hyperparameters_and_relatives_keep_points_and_targets(algo, targe
         np.testing.assert_allclose(uncertain[dimension], dense["human"][1], rtol=0, atol=1e-8)
 
 
-def test_computed_anew_is_what_one_point_after_the_other_came_to():
+@pytest.mark.parametrize("on_full", ["error", pytest.param("replace-nearest", marks=pytest.mark.slow)])
+def test_computed_anew_is_what_one_point_after_the_other_came_to(on_full):
     """Of the models that do not compute it anew at each point, and in room beyond one tile."""
-    for on_full in ("error", "replace-nearest"):
-        learner = learner_of("gpc", capacity=140, on_full=on_full)
-        state = taught(learner)
-        for process, held in ((learner.policy, state.policy), (learner.human, state.human)):
-            one = jax.tree.map(lambda leaf: leaf[1], held)
-            again = jax.jit(lambda data, process=process: process.renewed(data))(one)
-            explained = []
-            for posterior in (again, one):
-                k = process.covariances(posterior, jnp.ones(posterior.points.shape[1]))
-                explained.append((process.explained(posterior, (), k), posterior.weights))
-            assert_close(*explained, atol=1e-8)
+    learner = learner_of("gpc", capacity=140, on_full=on_full)
+    state = taught(learner)
+    for process, held in ((learner.policy, state.policy), (learner.human, state.human)):
+        one = jax.tree.map(lambda leaf: leaf[1], held)
+        again = jax.jit(lambda data, process=process: process.renewed(data))(one)
+        explained = []
+        for posterior in (again, one):
+            k = process.covariances(posterior, jnp.ones(posterior.points.shape[1]))
+            explained.append((process.explained(posterior, (), k), posterior.weights))
+        assert_close(*explained, atol=1e-8)
 
 
-@pytest.mark.parametrize("algo", ["coach", "d-coach"])
+@pytest.mark.parametrize("algo", ["coach", pytest.param("d-coach", marks=pytest.mark.slow)])
 def test_weights_go_to_their_own_kind(algo):
     learner = learner_of(algo)
     state = taught(learner)

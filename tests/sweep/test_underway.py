@@ -66,6 +66,12 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
     return out
 
 
+def sweep_on(out, settings):
+    """To the end: here, and among the slow tests by workers, who start anew each time."""
+    executor = InProcess() if settings is COMPILED else None
+    return sweep(out, executor=executor, checkpoint=0, **KEEP, **settings)
+
+
 @pytest.fixture(
     scope="module",
     params=[
@@ -77,7 +83,7 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
 def case(request, tmp_path_factory):
     """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
     settings = request.param
-    reference = sweep(tmp_path_factory.mktemp("reference") / "out", checkpoint=0, **KEEP, **settings)
+    reference = sweep_on(tmp_path_factory.mktemp("reference") / "out", settings)
     return settings, reference, killed_under_way(tmp_path_factory.mktemp("killed"), settings | KEEP)
 
 
@@ -102,7 +108,7 @@ def test_it_goes_on_from_there_to_the_same_bits(case, killed):
     # The one before the last is not needed any more, but the kill came before it went.
     assert len(list((killed / CHECKPOINTS).iterdir())) == 2
     before = steps_of(killed)
-    sweep(killed, checkpoint=0, **KEEP, **settings)
+    sweep_on(killed, settings)
     assert_same(killed, reference)
     total = read_episodes(killed)["length"].sum()
     assert 0 < steps_of(killed) - before < total
@@ -118,7 +124,7 @@ def test_a_damaged_checkpoint_costs_time_alone(case, killed, capsys):
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 1
         file.write_bytes(data)
-    sweep(killed, checkpoint=0, **KEEP, **settings)
+    sweep_on(killed, settings)
     said = capsys.readouterr().err
     assert re.search(
         r"2 damaged checkpoints set aside, their runs begin anew \(checkpoints/\d+-\d+-\d+\)", said
