@@ -26,7 +26,7 @@ from gpcjax.sweep.run import sweep, versions
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for
-from tests.torture_underway import FAULTS, torture
+from tests.torture.underway import FAULTS, torture
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
 COMPILED = {"env": "cartpole", "algo": "gpc", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}

@@ -1,6 +1,6 @@
 """Faults injected into the checkpoints of a sweep that was killed: is what is damaged ever gone on with?
 
-    python -m tests.torture_underway OUT [--cases 1000] [--seed 0]
+    python -m tests.torture.underway OUT [--cases 1000] [--seed 0]
 
 OUT is the folder of a sweep that was killed in the middle of its runs. Each case copies it, spoils its checkpoints in
 one to three ways, and asks where runs can go on, as a sweep does. Right is: whatever is offered is to the bit what was
@@ -25,7 +25,7 @@ from gpcjax.policies.folder import CARD, SUMS, _names, _sum, read_arrays, read_c
 from gpcjax.sweep.checkpoints import KIND, cell_of, survey
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED
 from gpcjax.sweep.plan import Cell
-from tests.torture import EDITS
+from tests.torture.faults import EDITS
 
 AGREE = ("versions", "machine", "keeping")
 

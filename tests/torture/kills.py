@@ -1,14 +1,14 @@
 """Sweeps that are killed at random moments, again and again: do they come to the same bits?
 
-    python -m tests.kills [--kills 200] [--seed 0]
+    python -m tests.torture.kills [--kills 200] [--seed 0]
 
 Each sweep of `SWEEPS` runs once undisturbed. Then it is begun in a new folder and killed, and begun again in the same
 one and killed again, until it gets to its end; and then anew, until there were as many kills as wanted. What is killed
 is drawn: the parent by SIGKILL (its workers must be gone within a second), one of its workers, or the parent by a
 signal that it hears (SIGTERM, SIGHUP, SIGINT), once or twice. The moment is drawn too, from the start of Python to the
-report; or it is an exact one of `tests.killed_at`: within the writing of the manifest, of a part or of the report, or
-while a worker compiles, with nothing kept of earlier compilations. After each kill what is there must be rows of the
-undisturbed sweep; at the end all of them, with what was kept, to the bit.
+report; or it is an exact one of `tests.torture.killed_at`: within the writing of the manifest, of a part or of the
+report, or while a worker compiles, with nothing kept of earlier compilations. After each kill what is there must be
+rows of the undisturbed sweep; at the end all of them, with what was kept, to the bit.
 """
 
 import argparse
@@ -32,10 +32,10 @@ from gpcjax.sweep.environment import CACHE
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
-from tests.killed_at import COMPILES, MOMENTS
 from tests.sweep.processes import alive, workers_of
+from tests.torture.killed_at import COMPILES, MOMENTS
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SWEEPS = {
     "compiled": "--env cartpole --algo coach,gpc --oracle lqr --rate 0.2 --seeds 40 --episodes 40 --keep policies "
     "--keep-at 10 --jobs 2 --max-capacity 128 --on-full replace-nearest",
@@ -123,7 +123,7 @@ def _until_it_ends(
             if sum(tally.kills.values()) < wanted and random.random() < EXACT:
                 moment = str(random.choice(MOMENTS))
                 count = int(random.integers(1, 4 if moment in COMPILES else LATEST))
-                given = [*command[:2], "tests.killed_at", moment, str(count), *command[3:]]
+                given = [*command[:2], "tests.torture.killed_at", moment, str(count), *command[3:]]
                 if moment in COMPILES:
                     environment[CACHE] = str(out.with_name(f"cache-{sum(tally.kills.values())}"))
             running = subprocess.Popen(
