@@ -18,9 +18,9 @@ from gpcjax.report.compare_match import Folder, Match, Pair, checked_by, match, 
 from gpcjax.report.compare_notes import differing
 from gpcjax.report.compare_numbers import Difference, Profile, differences, profiles
 from gpcjax.report.figures import compare_figure, style
+from gpcjax.report.files import write_files
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
-from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.plan import hash_of
 from gpcjax.sweep.runfolder import make_writable
@@ -149,12 +149,7 @@ class Comparison:
             **{f"comparison.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")},
             "comparison.html": html.render(page),
         }
-        for name, written in files.items():
-            try:
-                write_atomic(folder / name, written)
-            except OSError as error:
-                raise UserError(f"{folder / name}: cannot be written ({error.strerror}), {_MEND}") from None
-        return tuple(folder / name for name in files)
+        return write_files(folder, files, _MEND)
 
 
 def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:

@@ -93,6 +93,8 @@ def _libc() -> ctypes.CDLL:
     return ctypes.CDLL(None, use_errno=True)
 
 
-def _mount(source: str | Path, target: Path, kind: str | None, flags: int, options: str | None = None) -> bool:
+def _mount(
+    source: str | Path, target: Path, kind: str | None, flags: int, options: str | None = None
+) -> bool:
     words = [None if each is None else os.fsencode(each) for each in (source, target, kind)]
     return _libc().mount(*words, ctypes.c_ulong(flags), options and options.encode()) == 0

@@ -40,7 +40,7 @@ def torture(cases: int, seed: int) -> Iterator[tuple[str, str | None, str]]:
         source = sharded(Path(folder, "source"))
         whole, other = finished(Path(folder, "whole")), finished(Path(folder, "other"), OTHER)
         reference, learned = read(whole), read_kept(whole)
-        names = list(FAULTS)
+        names = np.random.default_rng(seed).permutation(list(FAULTS)).tolist()
         for number in range(cases):
             random = np.random.default_rng([seed, number])
             out = Path(shutil.copytree(source, Path(folder, "case")))
