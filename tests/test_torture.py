@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -39,11 +40,16 @@ def test_nothing_is_merged_of_spoiled_shards_but_rows_of_the_sweep(cases):
     assert sum(status == "merged when it had run again" for _, status, _ in judged) > cases / 2
 
 
-@pytest.mark.parametrize("cases", [5, pytest.param(60, marks=pytest.mark.slow)])
-def test_disks_become_full_or_read_only_and_folders_go(cases):
+@pytest.mark.parametrize(
+    ("module", "cases"),
+    [
+        ("disks", 5),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("disks", 60), ("disks_underway", 4))),
+    ],
+)
+def test_disks_become_full_or_read_only_and_folders_go(module, cases):
     """In a process that mounts them for itself and forks."""
-    words = ["-m", "tests.torture.disks", "--cases", str(cases)]
-    done = subprocess.run(
-        [sys.executable, *words], cwd=gpcjax.__path__[0] + "/..", capture_output=True, text=True
-    )
+    words = ["-m", f"tests.torture.{module}", "--cases", str(cases)]
+    root = Path(gpcjax.__file__).parents[1]
+    done = subprocess.run([sys.executable, *words], cwd=root, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout

@@ -3,7 +3,8 @@
     python -m tests.torture [--cases 1000] [--kills 200] [--disks 400] [--seed 0]
 
 Folders are spoiled (`folders`), checkpoints (`underway`) and shards (`shards`); disks become full or read-only under a
-command, or its folder goes (`disks`); real sweeps are killed at random moments (`kills`).
+command, or its folder goes (`disks`; `disks_underway` has real workers); real sweeps are killed at random moments
+(`kills`).
 """
 
 import argparse
@@ -49,9 +50,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         out = killed_under_way(Path(folder), COMPILED | KEEP)
         wrong += told("spoiled checkpoints", underway.torture(out, cases, seed))
-    # In a process of its own, which mounts disks that nobody else sees.
-    words = ["-m", "tests.torture.disks", "--cases", str(arguments.disks), "--seed", str(seed)]
-    wrong += subprocess.run([sys.executable, *words]).returncode
+    for module, some in (("disks", arguments.disks), ("disks_underway", arguments.disks // 20)):
+        # In a process of its own, which mounts disks that nobody else sees.
+        words = ["-m", f"tests.torture.{module}", "--cases", str(some), "--seed", str(seed)]
+        wrong += subprocess.run([sys.executable, *words]).returncode
     killed = list(kills.torture(arguments.kills, seed))
     print("\n".join(killed) if killed else "no kill did any harm")
     return os.EX_OK if not wrong and not killed else 1

@@ -80,7 +80,7 @@ def torture(kills: int, seed: int, sweeps: dict[str, str] | None = None) -> Iter
                 yield f"{name}: the undisturbed sweep failed: {done.stderr[-2000:]}"
                 continue
             usual, began = time.monotonic() - began, time.monotonic()
-            expected = _content(reference)
+            expected = content_of(reference)
             while sum(tally.kills.values()) < wanted and not tally.wrong:
                 out = Path(scratch, f"{sum(tally.finished.values())}")
                 _until_it_ends(_command(words, out), out, random, usual, expected, wanted, tally)
@@ -149,9 +149,9 @@ def _until_it_ends(
         elif status:
             tally.wrong.append(f"it ended with {status}: {text[-2000:]}")
         else:
-            same = all(map(_same, _content(out), expected)) and read_manifest(out)["complete"]
-            tally.finished["same" if same else "other"] += 1
-            if not same:
+            whole = all(map(same, content_of(out), expected)) and read_manifest(out)["complete"]
+            tally.finished["same" if whole else "other"] += 1
+            if not whole:
                 tally.wrong.append("it came to other rows")
             return
 
@@ -216,19 +216,19 @@ def _judge(
         tally.wrong.append(f"{kind}: it ended with {status}: {text[-2000:]}")
     if (out / MANIFEST).exists() and any((out / EPISODES).glob("*.parquet")):
         try:
-            found = _content(out)
+            found = content_of(out)
         except UserError as error:
             tally.wrong.append(f"{kind}: {error}")
             return
         for frame, whole in zip(found, expected, strict=True):
             keys = [name for name in ("algo", "seed") if name in frame]
-            if len(frame) and not _same(
+            if len(frame) and not same(
                 frame, whole.merge(frame[keys].drop_duplicates(), on=keys)[list(whole)]
             ):
                 tally.wrong.append(f"{kind}: what is left are not rows of the sweep")
 
 
-def _content(out: Path) -> list[pd.DataFrame]:
+def content_of(out: Path) -> list[pd.DataFrame]:
     """All that a folder holds, without a word about it."""
     return [
         read(out, _refuse).sort_values(order, ignore_index=True)
@@ -246,7 +246,8 @@ def _refuse(line: str) -> None:
     raise UserError(line)
 
 
-def _same(got: pd.DataFrame, expected: pd.DataFrame) -> bool:
+def same(got: pd.DataFrame, expected: pd.DataFrame) -> bool:
+    """To the bit."""
     try:
         pd.testing.assert_frame_equal(
             got.reset_index(drop=True), expected.reset_index(drop=True), check_exact=True
