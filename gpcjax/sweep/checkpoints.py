@@ -9,7 +9,6 @@ is not whole, or of other versions or another kind of machine, costs the time th
 
 import contextlib
 import dataclasses
-import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
 from gpcjax.sweep.keeping import Keeping
-from gpcjax.sweep.layout import CHECKPOINTS, Say
+from gpcjax.sweep.layout import CHECKPOINTS, Say, is_checkpoint, is_unfinished_checkpoint
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.runfolder import set_aside
@@ -27,10 +26,6 @@ from gpcjax.sweep.source import Source
 
 KIND = "checkpoint"
 
-_NAME = re.compile(r"\d{10,}-\d+-\d+")
-_UNFINISHED = re.compile(r"\.\d{10,}-\d+-\d+-.*")
-"""What is being written; of a process that was killed."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Place:
@@ -38,11 +33,6 @@ class Place:
 
     folder: str
     index: int
-
-
-def is_checkpoint(name: str) -> bool:
-    """Whether a folder of this name is a whole checkpoint of ours, as far as a name can tell."""
-    return _NAME.fullmatch(name) is not None
 
 
 SNAPSHOTS = 2
@@ -89,9 +79,9 @@ def survey(
     damaged, folders = [], []
     for name in names_in(out / CHECKPOINTS):
         path = out / CHECKPOINTS / name
-        if _UNFINISHED.fullmatch(name):
+        if is_unfinished_checkpoint(name):
             shutil.rmtree(path, ignore_errors=True)
-        if not _NAME.fullmatch(name):
+        if not is_checkpoint(name):
             continue
         try:
             runs = _runs(path, agree)
@@ -126,7 +116,8 @@ def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, P
     whole = out / CHECKPOINTS / name
     parts = out / CHECKPOINTS / f".{name}-received"  # as what a writer leaves that is killed
     shutil.rmtree(parts, ignore_errors=True)
-    parts.mkdir(parents=True)
+    (out / CHECKPOINTS).mkdir(exist_ok=True)  # not the run folder, which may have been removed
+    parts.mkdir()
     try:
         write(parts)
         (parts / name).rename(whole)
@@ -138,7 +129,7 @@ def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, P
 def remove_all(out: Path) -> None:
     """The checkpoints of a sweep that has come to its end."""
     for name in names_in(out / CHECKPOINTS):
-        if _NAME.fullmatch(name) or _UNFINISHED.fullmatch(name):
+        if is_checkpoint(name) or is_unfinished_checkpoint(name):
             shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
     with contextlib.suppress(OSError):  # there is none, or somebody's own file is in it
         (out / CHECKPOINTS).rmdir()

@@ -188,6 +188,7 @@ class TestCheckpoints:
 
     @pytest.fixture
     def orders(self, tmp_path):
+        (tmp_path / "out").mkdir()
         return Orders(checkpoints=str(tmp_path / "out" / "checkpoints"), seconds=15.0)
 
     @pytest.mark.parametrize("changes", [{}, {"machine": OTHER}])
