@@ -83,16 +83,16 @@ class Saved:
 
     Args:
         folder: `OUT/checkpoints`.
-        places: where each run is.
         say: takes a line for the person.
     """
 
-    def __init__(self, folder: Path | None, places: Mapping[Cell, Place], say: Callable[[str], None]):
-        self._folder, self._places, self._say = folder, dict(places), say
+    def __init__(self, folder: Path | None, say: Callable[[str], None]):
+        self._folder, self._say = folder, say
+        self._places: dict[Cell, Place] = {}
         self._read: dict[str, tuple[list[Snapshot], list[list[KeptRow]]]] = {}
 
     def add(self, places: Mapping[Cell, Place]) -> None:
-        """Others are saved, too: of a worker that is gone."""
+        """Where some of them are."""
         self._places |= places
 
     def go_on(self, cell: Cell, pool: Pool) -> tuple[Resumed, list[KeptRow]] | None:

@@ -14,7 +14,7 @@ from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.checkpoints import Places, remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.fitting import left_out
@@ -174,9 +174,10 @@ def run(
                 seconds=checkpoint,
                 agree=agree,
                 varying=tuple(manifest["varying"]),
-                places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
-            sweep = _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher)
+            places = survey(out, lambda cell: not store.holds(cell), agree, tell)
+            executor = executor or Processes(jobs)
+            sweep = _Sweep(spec, out, manifest, store, missing, executor, orders, places, watcher)
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
@@ -264,6 +265,7 @@ class _Sweep:
         missing: list[Cell],
         executor: Executor,
         orders: Orders,
+        places: Places,
         watcher: Callable[..., Watcher] | None,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
@@ -286,6 +288,7 @@ class _Sweep:
             before=lambda programs: experience.of(programs, cache_folder()),
             starts=experience.start_of(cache_folder()),
             on_machine=lambda described: _note_machine(out, manifest, described),
+            places=places,
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)

@@ -35,7 +35,7 @@ class Runs:
         self._pool, self._keeping, self._say = pool, orders.keeping, say
         self._cells: deque[Cell] = deque()
         folder = None if orders.checkpoints is None else Path(orders.checkpoints)
-        self._saved = Saved(folder, orders.places, self._note)
+        self._saved = Saved(folder, self._note)
         self._checkpointer = Checkpointer(folder, orders.seconds, orders.agree)
         self._told = False
         """Whether the person knows that runs cannot be saved."""

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gpcjax.policies.folder import CARD, SUMS, _names, _sum, read_arrays, read_card
-from gpcjax.sweep.checkpoints import KIND, cell_of, survey
+from gpcjax.sweep.checkpoints import HERE, KIND, cell_of, survey
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED
 from gpcjax.sweep.plan import Cell
 from tests.torture.faults import EDITS
@@ -189,7 +189,7 @@ def judge(case: Case, saved: Saved, agree: dict) -> str:
         AssertionError: it was not right.
     """
     lines: list[str] = []
-    places = survey(case.out, saved.__contains__, agree, lines.append)
+    places = survey(case.out, saved.__contains__, agree, lines.append).get(HERE, {})
     for cell, place in places.items():
         folder = case.out / CHECKPOINTS / place.folder
         try:
