@@ -19,6 +19,7 @@ from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.estimate import seconds_left
 from gpcjax.sweep.executors import run_alone
 from gpcjax.sweep.given import Given
@@ -63,10 +64,10 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
         for name in PARTS[part].experiments:
             spec = _spec(sweeps / f"{name}.toml", out, quick)
             check_sweep(out / name, spec, grows=False)
-            make_writable(out / name)
             place += 1
             console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
-            run(spec, out / name, jobs, grows=False)
+            with begun(out / name):
+                run(spec, out / name, jobs, grows=False)
     report, tested = _drawn(out, quick)
     console.print(counted([claim for each in tested.values() for claim in each]))
     return report

@@ -13,6 +13,7 @@ from gpcjax.allowed import checked, checked_path
 from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Places, remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
@@ -30,7 +31,7 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
+from gpcjax.sweep.runfolder import check_sweep, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
 from gpcjax.sweep.siblings import asked_before
@@ -97,10 +98,10 @@ def sweep(
     check_shard(folder, share, count(spec))
     check_kept(folder, keeping, spec)
     _check_start(spec)
-    make_writable(folder)
     for line in left_out(spec.env) if "algo" not in settings else ():
         tell(line)
-    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
+    with begun(folder):
+        run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
 
