@@ -13,7 +13,7 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
-from gpcjax.sweep import points, reading
+from gpcjax.sweep import points
 from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.growth import usual
 from gpcjax.sweep.machine import kind_of
@@ -139,12 +139,10 @@ def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | 
         UserError: it is no run folder, holds no episodes yet, or none that is whole.
     """
     check_report(path)
-    if spec is None:
-        episodes, manifest = read_counted(path, say)
-    else:
-        rows = chosen_of(reading.read(path, say), spec)
-        episodes, manifest = rows.episodes, rows.manifest
-    if episodes is None:
+    episodes, manifest = read_counted(path, say)
+    if spec is not None and episodes is not None:
+        episodes, manifest = chosen_of(episodes, manifest, spec)
+    if episodes is None or not len(episodes.seeds):
         raise UserError(f"{path}: it holds no episodes of its sweep, let it run further")
     specification = {**manifest["specification"]}
     for each, meant in _LATER.items():
