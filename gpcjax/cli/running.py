@@ -219,6 +219,9 @@ def _prepare_report() -> None:
     with suppress(Exception):  # the report will say it
         import gpcjax.report.figures.drawing
         import gpcjax.report.terminal  # noqa: F401
+        from gpcjax.report.figures.style import load_formats
+
+        load_formats()
 
 
 def merge(arguments: argparse.Namespace) -> int:

@@ -122,20 +122,24 @@ class Loop(eqx.Module):
     def _step(self, block: Lane) -> Lane:
         """A few steps of every running lane, up to its next coin, the end of its episode, or what is no number.
 
-        Lanes that met such a thing take their steps once more, and stop before it. In the usual walk, which all others
-        keep, nothing depends on whether a value is a number: a mask that did would be compiled into the physics, and
-        round them differently.
+        Lanes that met such a thing take their steps once more, and stop before it: all lanes walk again by the same
+        code, and whatever it computes for the others is the same once more. In it nothing depends on whether the
+        values of a step are numbers: a mask that did would be compiled into the physics, and round them differently.
         """
-        walked, suspect = self._walk(block, lambda moving, finite: moving)
 
-        def stopped() -> tuple[PyTree, ...]:
-            careful, broken = self._walk(block, lambda moving, finite: moving & finite)
-            once_more = jax.tree.map(lambda new, old: jnp.where(suspect, new, old), careful, walked)
-            return *once_more, jnp.where(suspect & broken, jnp.int32(Status.NON_FINITE), block.status)
+        def again(carry: tuple[Int[Array, ""], Int[Array, " lanes"], PyTree]) -> Bool[Array, ""]:
+            walks, steps, _ = carry
+            return (walks == 0) | ((walks == 1) & (steps < self.stride).any())
 
-        env, tally, waiting, action, memory, history, status = lax.cond(
-            suspect.any(), stopped, lambda: (*walked, block.status)
-        )
+        def walk(carry: tuple[Int[Array, ""], Int[Array, " lanes"], PyTree]) -> tuple[Array, Array, PyTree]:
+            walks, steps, _ = carry
+            walked, sound = self._walk(block, steps)
+            return walks + 1, sound, walked
+
+        present = (block.env, block.tally, block.waiting, block.action, block.memory, block.history)
+        all_of_them = jnp.full_like(block.episode, self.stride)
+        _, steps, walked = lax.while_loop(again, walk, (jnp.int32(0), all_of_them, present))
+        env, tally, waiting, action, memory, history = walked
         return dataclasses.replace(
             block,
             env=env,
@@ -144,24 +148,21 @@ class Loop(eqx.Module):
             action=action,
             memory=memory,
             history=history,
-            status=status,
+            status=jnp.where(steps < self.stride, jnp.int32(Status.NON_FINITE), block.status),
         )
 
     def _walk(
-        self,
-        block: Lane,
-        goes: Callable[[Bool[Array, " lanes"], Bool[Array, " lanes"]], Bool[Array, " lanes"]],
-    ) -> tuple[tuple[PyTree, ...], Bool[Array, " lanes"]]:
-        """The steps, and which lanes met what is no number; `goes` says which go on, of those that may."""
+        self, block: Lane, steps: Int[Array, " lanes"]
+    ) -> tuple[tuple[PyTree, ...], Int[Array, " lanes"]]:
+        """So many steps of each lane, a stride at most; and how many it takes before it meets what is no number."""
         window, start, running = block.window, block.window_start, block.phase == Phase.RUNNING
         controller = block.controller
 
-        def body(_: Int[Array, ""], carry: PyTree) -> PyTree:
-            (env, tally, waiting, action, memory, history), broken = carry
-            moving = running & ~waiting & ~env.done
+        def body(step: Int[Array, ""], carry: PyTree) -> PyTree:
+            (env, tally, waiting, action, memory, history), sound = carry
+            moving = running & ~waiting & ~env.done & (step < steps)
             proposed, finite = propose(controller, env.obs, tally.returns)
-            broken = broken | (moving & ~finite)
-            moving = goes(moving, finite)
+            sound = jnp.where(moving & ~finite, jnp.minimum(sound, step), sound)
             offset = (env.time - start).astype(jnp.uint32)
             meets = moving & (((window >> offset) & 1) == 1)
             if block.learner.idle_every:
@@ -174,10 +175,10 @@ class Loop(eqx.Module):
                 memory = watch(block, memory, moment, moving)
                 history = remember(history, moment, moving & ~meets)
             env, tally = self._act(env, tally, proposed, moving & ~meets)
-            return (env, tally, waiting | meets, action, memory, history), broken
+            return (env, tally, waiting | meets, action, memory, history), sound
 
         walked = (block.env, block.tally, block.waiting, block.action, block.memory, block.history)
-        return lax.fori_loop(0, self.stride, body, (walked, jnp.zeros_like(running)))
+        return lax.fori_loop(0, self.stride, body, (walked, steps))
 
     def _act(
         self,

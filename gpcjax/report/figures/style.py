@@ -236,12 +236,28 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
 
 
 def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
-    """`figure` as "png", "pdf" or "svg"; the same figure gives the same bytes."""
+    """`figure` as "png", "pdf" or "svg"; the same figure gives the same bytes, whatever it was made into before."""
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind, {})
     stream = io.BytesIO()
     with publication():
+        _lay_out(figure)
         figure.savefig(stream, format=kind, backend=_BACKENDS[kind], dpi=dpi, metadata=undated)
     return stream.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Finds the places of all parts, once: with each format anew it takes longer than the drawing itself."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine(None)
+
+
+def load_formats() -> None:
+    """Has matplotlib load what it otherwise loads with the first figure of each format: half a second of fonts."""
+    figure, (axis,) = panels(["$x$"])
+    axis.set_title("y")
+    for kind in _BACKENDS:
+        image(figure, kind)
 
 
 def pictured(drawing: Drawing, file: str = "") -> Picture:
