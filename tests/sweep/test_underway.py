@@ -15,7 +15,7 @@ import gpcjax
 from gpcjax import cli
 from gpcjax.sweep import machine
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS
@@ -28,7 +28,7 @@ from gpcjax.sweep.spec import spec_of
 from tests.sweep.pretended import Pretended
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for
-from tests.torture_underway import FAULTS, torture
+from tests.torture.underway import FAULTS, torture
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
 COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
@@ -144,7 +144,7 @@ def test_no_spoiled_checkpoint_is_gone_on_with(case, cases):
 def found(out, settings, **changes):
     cells = set(plan(spec_of(**settings)))
     agree = told(versions(), machine.kind_of(machine.describe()), keeping_of(**KEEP)) | changes
-    return survey(out, cells.__contains__, agree, print)
+    return survey(out, cells.__contains__, agree, print).get(HERE, {})
 
 
 def test_what_runs_must_agree_in(case, killed, tmp_path):
@@ -160,6 +160,9 @@ def test_what_runs_must_agree_in(case, killed, tmp_path):
         "keeping": {"keeping": None},
     }.items():
         assert not found(shutil.copytree(killed, tmp_path / name), settings, **changes)
+        # For machines of the kind that wrote it, it is still there.
+        kept = {path.name for path in (tmp_path / name / CHECKPOINTS).iterdir()}
+        assert kept == (set(left) if name == "machine" else set())
     other = settings | {"rate": 0.3}
     assert not found(shutil.copytree(killed, tmp_path / "cells"), other)
 
