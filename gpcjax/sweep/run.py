@@ -13,8 +13,9 @@ from gpcjax.allowed import checked, checked_path
 from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.checkpoints import Places, remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.fitting import left_out
@@ -30,7 +31,7 @@ from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
+from gpcjax.sweep.runfolder import check_sweep, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
 from gpcjax.sweep.siblings import asked_before
@@ -97,10 +98,10 @@ def sweep(
     check_shard(folder, share, count(spec))
     check_kept(folder, keeping, spec)
     _check_start(spec)
-    make_writable(folder)
     for line in left_out(spec.env) if "algo" not in settings else ():
         tell(line)
-    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
+    with begun(folder):
+        run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
 
@@ -174,9 +175,10 @@ def run(
                 seconds=checkpoint,
                 agree=agree,
                 varying=tuple(manifest["varying"]),
-                places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
-            sweep = _Sweep(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher)
+            places = survey(out, lambda cell: not store.holds(cell), agree, tell)
+            executor = executor or Processes(jobs)
+            sweep = _Sweep(spec, out, manifest, store, missing, executor, orders, places, watcher)
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
@@ -264,6 +266,7 @@ class _Sweep:
         missing: list[Cell],
         executor: Executor,
         orders: Orders,
+        places: Places,
         watcher: Callable[..., Watcher] | None,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
@@ -286,6 +289,7 @@ class _Sweep:
             before=lambda programs: experience.of(programs, cache_folder()),
             starts=experience.start_of(cache_folder()),
             on_machine=lambda described: _note_machine(out, manifest, described),
+            places=places,
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)
