@@ -15,7 +15,7 @@ from contextlib import ExitStack, suppress
 from typing import Any, ParamSpec, TypeVar
 
 import jax
-import numpy as np
+import jax.numpy as jnp
 from jax._src import config
 from jax.core import Tracer
 
@@ -66,7 +66,7 @@ _OWN = (
 
 def seeded_key(seed: int = 0) -> jax.Array:
     """`jax.random.key(seed)` of a seed below 2**32, whatever jax's own settings of random keys are."""
-    return jax.random.wrap_key_data(np.array([0, seed], np.uint32), impl="threefry2x32")
+    return jax.random.wrap_key_data(jnp.array([0, seed], jnp.uint32), impl="threefry2x32")
 
 
 def under_own_settings(function: Callable[P, R]) -> Callable[P, R]:

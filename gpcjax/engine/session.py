@@ -86,7 +86,7 @@ class Session:
             }
         )
         learner = fixed(learner)
-        rehearse(learner, learner.init() if state is None else state)
+        rehearse(learner, state)
         block = single(learner, state, credit_of(settings), settings["seed"])
         self._sit(learner, Course(Alone(learner, block), settings))
         self._begin_record(record)

@@ -25,7 +25,8 @@ class Called:
 
     def __init__(self, function: Function):
         functools.update_wrapper(self, function)
-        self._function = function
+        self.function = function
+        """The function itself, part of what jax traces."""
         self._otherwise = eqx.filter_jit(function)
         self._programs: dict[Any, Function] = {}
 
@@ -53,10 +54,10 @@ class Called:
         return program(numbers, leaves, *vectors)
 
     def _program(self, kind: Any, form: Any, donate: bool) -> Function:
-        @functools.wraps(self._function)
+        @functools.wraps(self.function)
         def run(numbers: list[Any], leaves: list[Any], *vectors: Any) -> Any:
             learner, state = jax.tree.unflatten(kind, numbers), jax.tree.unflatten(form, leaves)
-            return self._function(learner, state, *vectors)
+            return self.function(learner, state, *vectors)
 
         del run.__wrapped__  # whose signature has other names: jax looks it up
         return jax.jit(run, donate_argnums=(1,) if donate else ())

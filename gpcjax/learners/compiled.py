@@ -66,7 +66,7 @@ def correct(
 
 
 def rehearse(learner: Learner, state: State) -> None:
-    """Traces what a learner of a person's own does with a state, before any of it is needed; ours do it.
+    """Traces what a learner of a person's own does with a state, its first one if it is None; ours are known.
 
     Raises:
         UserError: it is no state of this learner.
@@ -74,9 +74,11 @@ def rehearse(learner: Learner, state: State) -> None:
     """
     if type(learner).__module__.startswith("gpcjax."):
         return
+    if state is None:
+        state = learner.init(seeded_key())
     obs, none = jnp.zeros(learner.obs_size), jnp.zeros(learner.action_size)
-    eqx.filter_eval_shape(act.__wrapped__, learner, state, obs)
-    eqx.filter_eval_shape(correct.__wrapped__, learner, state, obs, none, none)
+    eqx.filter_eval_shape(act.function, learner, state, obs)
+    eqx.filter_eval_shape(correct.function, learner, state, obs, none, none)
 
 
 def check_state(learner: Learner, state: State) -> None:

@@ -22,7 +22,7 @@ class Units(gpcjax.Learner):
     kind: str = "more"
     step_size: jax.Array = eqx.field(default=0.5, converter=gpcjax.parameter)
 
-    def init(self, key=None):
+    def init(self, key):
         return jnp.zeros((self.units, self.action_size, self.obs_size))
 
     def propose(self, state, obs):
@@ -75,7 +75,7 @@ def test_all_that_a_class_takes_may_be_given(module):
 @pytest.mark.parametrize("kind", ["more", "less"])
 def test_one_made_by_its_class_has_a_policy(kind):
     learner = Units(**SIZES, kind=kind)
-    state, _ = learner.correct(learner.init(), OBS, [0.0], [1])
+    state, _ = learner.correct(learner.init(jax.random.key(0)), OBS, [0.0], [1])
     action = learner.act(state, OBS)
     assert action != 0
     assert_same_bits(learner.policy_of(state)(OBS), action)
@@ -92,7 +92,7 @@ def learners():
 
 @pytest.mark.parametrize("learner", list(learners()), ids=lambda learner: type(learner).__name__)
 def test_a_policy_stays_when_its_state_is_given_away(learner):
-    state, _ = learner.correct(learner.init(), OBS, [0.0], [1])
+    state, _ = learner.correct(learner.init(jax.random.key(0)), OBS, [0.0], [1])
     early, late = learner.policy_of(state), learner.policy_of(state)
     before = np.array(early(OBS))
     for _ in range(3):
@@ -133,7 +133,7 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
         for each in (before, value):
             jax.config.update(name, each)
             jax.clear_caches()
-            state = learner.init()
+            state = learner.init(jax.random.key(0))
             for _ in range(3):
                 state, _ = learner.correct(state, OBS, [0.0], [1])
             twice.append(state)
