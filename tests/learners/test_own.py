@@ -133,7 +133,7 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
         for each in (before, value):
             jax.config.update(name, each)
             jax.clear_caches()
-            state = learner.init(jax.random.key(0))
+            state = learner.init()
             for _ in range(3):
                 state, _ = learner.correct(state, OBS, [0.0], [1])
             twice.append(state)
