@@ -1,6 +1,5 @@
 """Learners by name: the thesis' tables, or the sizes and hyperparameters of a task of one's own."""
 
-import inspect
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -34,7 +33,7 @@ from gpcjax.learners.coach import COACH
 from gpcjax.learners.descriptions import CAPACITY, ON_FULL
 from gpcjax.learners.descriptions import COACH as COACH_SPEC
 from gpcjax.learners.descriptions import GPC as GPC_SPEC
-from gpcjax.learners.foreign import check_sizes
+from gpcjax.learners.foreign import arguments, check_sizes, checked_settings
 from gpcjax.learners.gpc import GPC
 from gpcjax.policies.grid import Grid
 from gpcjax.registry import built_in, find, resolve
@@ -100,37 +99,16 @@ def make_learner(
         )
     own = algo not in built_in("learner")
     names = {"obs_size", "action_size", *(each.name for each in spec.settings), *spec.options}
-    if own:
-        names.update(_arguments(spec))
-    values = _known(values, names)
+    values = _known(values, names | set(arguments(spec) if own else ()))
     for name in ("obs_size", "action_size"):
         values[name] = checked(name, values[name], int, COUNT)
     if own:
-        values = _checked_settings(spec, values)
+        values = checked_settings(spec, values)
     made = resolve(spec.make)(**values)
     if not own:
         return made
     check_sizes(algo, made, values)
     return fixed(made)
-
-
-def _arguments(spec: LearnerSpec) -> tuple[str, ...]:
-    """What a person's class or function takes by name, such as texts, which are no settings of a sweep."""
-    parameters = inspect.signature(resolve(spec.make)).parameters.values()
-    return tuple(
-        each.name for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
-    )
-
-
-def _checked_settings(spec: LearnerSpec, values: dict[str, Any]) -> dict[str, Any]:
-    """The values of a learner of a person's own, its settings within the bounds that its description has."""
-    settings = {each.name: each for each in spec.settings}
-    return {
-        name: checked(name, value, settings[name].kind, settings[name].allowed)
-        if name in settings and (value is not None or settings[name].default is not None)
-        else value
-        for name, value in values.items()
-    }
 
 
 def sizes_of(task: TaskSpec) -> dict[str, int]:

@@ -5,13 +5,14 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gpcjax.allowed import shown
+from gpcjax.allowed import checked, shown
 from gpcjax.describe import LearnerSpec
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.learners.base import Learner
 from gpcjax.making import Maker, told_apart
 from gpcjax.own_settings import settings_from
+from gpcjax.registry import resolve
 
 _SIZES: tuple[str, ...] = ("obs_size", "action_size")
 
@@ -61,6 +62,25 @@ def check_sizes(name: str, learner: Learner, asked: Mapping[str, Any]) -> None:
             raise UserError(
                 f"algo {name}: it makes a learner of {size} {shown(has)} where {asked[size]} is needed"
             )
+
+
+def arguments(spec: LearnerSpec) -> tuple[str, ...]:
+    """What a person's class or function takes by name, such as texts, which are no settings of a sweep."""
+    parameters = inspect.signature(resolve(spec.make)).parameters.values()
+    return tuple(
+        each.name for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+    )
+
+
+def checked_settings(spec: LearnerSpec, values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a learner of a person's own, its settings within the bounds that its description has."""
+    settings = {each.name: each for each in spec.settings}
+    return {
+        name: checked(name, value, settings[name].kind, settings[name].allowed)
+        if name in settings and (value is not None or settings[name].default is not None)
+        else value
+        for name, value in values.items()
+    }
 
 
 def _sizes_taken(make: Maker[Learner]) -> dict[str, int]:
