@@ -21,7 +21,7 @@ from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
 from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.estimate import seconds_left
-from gpcjax.sweep.executors import run_alone
+from gpcjax.sweep.executors import Processes, run_alone
 from gpcjax.sweep.given import Given
 from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.plan import count, plan, program_of
@@ -56,18 +56,19 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
     make_writable(out)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     place = 0
-    for part in only:
-        console.print(PARTS[part].title, style="bold")
-        if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
-            console.print("illustrations: computed once, about a minute")
-            run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
-        for name in PARTS[part].experiments:
-            spec = _spec(sweeps / f"{name}.toml", out, quick)
-            check_sweep(out / name, spec, grows=False)
-            place += 1
-            console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
-            with begun(out / name):
-                run(spec, out / name, jobs, grows=False)
+    with Processes(jobs) as executor:  # they import once, and keep what they have compiled
+        for part in only:
+            console.print(PARTS[part].title, style="bold")
+            if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
+                console.print("illustrations: computed once, about a minute")
+                run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
+            for name in PARTS[part].experiments:
+                spec = _spec(sweeps / f"{name}.toml", out, quick)
+                check_sweep(out / name, spec, grows=False)
+                place += 1
+                console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
+                with begun(out / name):
+                    run(spec, out / name, jobs, executor, grows=False)
     report, tested = _drawn(out, quick)
     console.print(counted([claim for each in tested.values() for claim in each]))
     return report
