@@ -11,8 +11,9 @@ import pytest
 import gpcjax
 from gpcjax.sweep.given import Given
 from gpcjax.teach.course import DICTIONARY, RECORD, Course
-from gpcjax.teach.lesson import Lesson, Options
+from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.protocol import Command, Press
+from gpcjax.teach.standing import Options
 
 ENV = "tests.teach.drifting:Drift"
 ROOT = Path(__file__).parents[2]
@@ -167,7 +168,7 @@ def test_after_a_sleep_no_steps_are_made_up_for(held):
     """A laptop that slept for an hour: its clock goes on from now."""
     held.ask("pause", on=False)
     held.wait("frame")
-    held.lesson._due -= 3600.0
+    held.lesson._teaching._due -= 3600.0
     held.forget()
     began = time.monotonic()
     time.sleep(0.3)
