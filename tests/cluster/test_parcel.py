@@ -78,7 +78,7 @@ def test_what_descriptions_name_in_their_turn(here, tmp_path, monkeypatch):
     spec = TaskSpec(
         "described:TASK", Maker("env", make, lambda made: made), {"own": "another:expert", "saved": "policy"}
     )
-    monkeypatch.setitem(registry._FOUND, ("task", spec.name), spec)
+    monkeypatch.setitem(registry._FOUND, ("task", spec.name), (spec, None))
     files, paths = opened(
         [named(env=spec.name, oracle="own"), named(env=spec.name, oracle="saved")], tmp_path
     )

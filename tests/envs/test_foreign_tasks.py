@@ -143,7 +143,7 @@ def test_what_a_class_says_of_itself(found, time_step, obs_scale):
 
 
 def test_its_scale_reaches_gpc(monkeypatch):
-    monkeypatch.setitem(registry._FOUND, ("task", "mine:It"), OF(Scaled))
+    monkeypatch.setitem(registry._FOUND, ("task", "mine:It"), (OF(Scaled), None))
     np.testing.assert_allclose(gpcjax.make_learner("gpc", "mine:It").scaling, [0.1, 10.0])
 
 
