@@ -5,7 +5,7 @@ Over 300 lines: a third of them make and mend the manifest, which belongs to the
 
 import threading
 import time
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -211,45 +211,48 @@ def _manifest(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard 
     except DamagedManifest:
         set_aside(out, out / MANIFEST)
         what = f"was damaged and lies in {out / DAMAGED} now"
-    manifest = new_manifest(spec, varying(spec), count(spec))
-    if own_parts(out, manifest["hash"]):
+    if own_parts(out, specification_hash(spec)):
         # Its parts may be all that there is to compute, and of other versions or another machine than these.
-        manifest, origins = _recovered(manifest, origins_of(out))
+        manifest, origins = _recovered(spec, origins_of(out))
         manifest["versions"] = origins[0].versions if origins else manifest["versions"]
         manifest["recovered"] = True
         if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
         return manifest
-    first, *further = [*([] if shard is None else asked_before(out, shard, spec)), spec]
+    before = [] if shard is None else asked_before(out, shard, spec)
+    if before:
+        tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
+    return _asked_for([*before, spec]) | {ENTRY: as_json(keeping)}
+
+
+def _recovered(spec: SweepSpec, origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
+    """The manifest with all that its folder was asked for, as far as parts tell, and the origins that are of it.
+
+    A part lists what had been asked when it was written: so all that names a known specification is known too. Each
+    of these is asked for again, even what a later one covers: parts are named after it, and shares follow the order.
+    """
+    known, mine = {specification_hash(spec): spec}, list[Origin]()
+    while True:
+        mine = [each for each in origins if known.keys() & {each.hash, *map(hash_of, each.asked)}]
+        named = {hash_of(one): one for each in mine for one in each.asked}
+        if not named.keys() - known.keys():
+            break
+        known |= {hash_: from_dict(one) for hash_, one in named.items() if hash_ not in known}
+    longest_first = sorted(mine, key=lambda each: len(each.asked), reverse=True)
+    order = dict.fromkeys(hash_of(one) for each in longest_first for one in each.asked)
+    return _asked_for([known[hash_] for hash_ in {**order, **known}]), [
+        each for each in mine if each.hash in known
+    ]
+
+
+def _asked_for(specs: Sequence[SweepSpec]) -> dict[str, Any]:
+    """The manifest of a folder that is asked for these, one after the other."""
+    first, *further = specs
     manifest = new_manifest(first, varying(first), count(first))
     for each in further:
         manifest = grown(manifest, each)
-    if further:
-        tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
-    return manifest | {ENTRY: as_json(keeping)}
-
-
-def _recovered(manifest: dict[str, Any], origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
-    """The manifest with all that its folder was asked for, as far as parts tell, and the origins that are of it.
-
-    A part lists what had been asked when it was written: so all that names a known specification is known too.
-    """
-    known: dict[str, SweepSpec | None] = {manifest["hash"]: None}
-    while True:
-        named = {
-            hash_of(specification): specification
-            for origin in origins
-            if known.keys() & {origin.hash, *map(hash_of, origin.asked)}
-            for specification in origin.asked
-        }
-        if not named.keys() - known.keys():
-            break
-        known |= {hash_: from_dict(each) for hash_, each in named.items() if hash_ not in known}
-    for each in filter(None, known.values()):
-        if covering(manifest, each) is None:
-            manifest = grown(manifest, each)
-    return manifest, [origin for origin in origins if origin.hash in known]
+    return manifest
 
 
 class _Sweep:

@@ -67,6 +67,20 @@ def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, be
     assert read_episodes(merge([out])).equals(read_episodes(merge([expected])))
 
 
+def test_one_that_lost_its_manifest_keeps_its_share(tmp_path):
+    """Which depends on what was asked for first, even if it was asked for again since."""
+    out, requests = tmp_path / "o", [{"seeds": "4-6"}, {"seeds": 8}, {"seeds": 12}]
+    for settings in requests:
+        for number in (1, 2):
+            run(out, number, **settings)
+    one = Shard(1, 2).folder(out)
+    before, rows = read_manifest(one), read_episodes(one)
+    (one / "manifest.json").write_text("{")
+    run(out, 1, **requests[-1])
+    assert read_manifest(one)["asked"] == before["asked"] and read_episodes(one).equals(rows)
+    assert seeds(merge([out])) == [*range(12)]
+
+
 def test_a_new_one_grows_with_the_others(tmp_path):
     """What is asked for next was not asked of the others yet."""
     out = tmp_path / "o"

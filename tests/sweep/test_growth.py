@@ -176,6 +176,23 @@ def test_a_lost_manifest_is_made_anew_from_the_parts(tmp_path, pretended, asked)
     pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
 
 
+@pytest.mark.parametrize("asked", [0, 1, 2])
+def test_so_is_one_of_requests_that_later_ones_cover(tmp_path, pretended, capsys, asked):
+    """Parts have the hash of the request that they were made for, whichever of them has asked for their cells since."""
+    requests = [{}, {"seeds": "1-3"}, {"seeds": 5}]
+    assert grow(tmp_path, pretended, *requests) == [4, 4, 2]
+    before, rows = read_manifest(tmp_path), read_episodes(tmp_path)
+    (tmp_path / "manifest.json").write_text("{")
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, requests[asked]) == [0]
+    after = read_manifest(tmp_path)
+    assert [after[name] for name in ("asked", "hash", "cells")] == [
+        before[name] for name in ("asked", "hash", "cells")
+    ]
+    pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+    assert "not rows of this sweep" not in capsys.readouterr().err
+
+
 def test_parts_of_a_sweep_that_was_not_asked_here_stay_foreign(tmp_path, pretended):
     grow(tmp_path / "one", pretended, {}, {"seeds": 3})
     sweep(tmp_path / "other", **(BASE | {"error": 0.5}))
