@@ -7,11 +7,12 @@ before. Its card lists their cells, and how far each of them is. Nothing in it i
 is not whole, or of other versions or another kind of machine, costs the time that it would have saved.
 """
 
+import base64
 import contextlib
 import dataclasses
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.layout import CHECKPOINTS, Say
+from gpcjax.sweep.packing import compressed, expanded
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.runfolder import set_aside
@@ -48,6 +50,9 @@ def is_checkpoint(name: str) -> bool:
 SNAPSHOTS = 2
 """The format of what is in a checkpoint, `gpcjax.engine.snapshots.FORMAT`: those of another one go without a word."""
 
+LAYOUT = 2
+"""Of cells and of what is kept of them in a checkpoint, likewise."""
+
 
 def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
     """What runs must agree in to go on from a checkpoint, beside their cells."""
@@ -55,6 +60,7 @@ def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> 
         "versions": dict(versions),
         "machine": machine,
         "snapshots": SNAPSHOTS,
+        "layout": LAYOUT,
         "keeping": None if keeping is None else dataclasses.asdict(keeping),
     }
 
@@ -70,6 +76,18 @@ def cell_of(entries: Mapping[str, Any]) -> Cell:
     series = {name: tuple(map(float, entries.get(name, ()))) for name in ("rate_schedule", *SCALES)}
     start = Source(**entries["start"]) if entries.get("start") else None
     return Cell(**{**entries, "hyperparameters": hyperparameters, **series, "start": start})
+
+
+def runs_as_json(runs: Iterable[tuple[Cell, int]]) -> str:
+    """Cells and the steps that each has made, for a card: one text, which thousands of them fit in."""
+    told = [{"cell": cell_as_json(cell), "steps": steps} for cell, steps in runs]
+    return base64.b64encode(compressed(told)).decode()
+
+
+def runs_of(card: Mapping[str, Any]) -> list[tuple[Cell, int]]:
+    """What `runs_as_json` was given. Raises KeyError, TypeError or ValueError for others."""
+    told = expanded(base64.b64decode(card["runs"], validate=True))
+    return [(cell_of(each["cell"]), int(each["steps"])) for each in told]
 
 
 def survey(
@@ -149,5 +167,4 @@ def _runs(path: Path, agree: Mapping[str, Any]) -> list[tuple[Cell, int]]:
     card = read_card(path, KIND)
     if card["kind"] != KIND:
         raise ValueError("no checkpoint")
-    runs = [(cell_of(each["cell"]), int(each["steps"])) for each in card["runs"]]
-    return runs if {name: card.get(name) for name in agree} == dict(agree) else []
+    return runs_of(card) if {name: card.get(name) for name in agree} == dict(agree) else []

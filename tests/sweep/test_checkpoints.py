@@ -1,0 +1,69 @@
+"""What checkpoints say of runs and of what is kept of them, whatever wrote these. Loads no jax but for the writing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gpcjax.policies.folder import read_arrays, read_card, write_folder
+from gpcjax.sweep import checkpointing
+from gpcjax.sweep.checkpoints import KIND, runs_as_json, runs_of, survey, told
+from gpcjax.sweep.keeping import KeptRow
+from gpcjax.sweep.packing import compressed, expanded, packed
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.spec import spec_of
+
+CELLS = plan(spec_of(env="cartpole", algo="coach", error=[0.1, 0.2], seeds=4096, episodes=50, oracle="lqr"))
+AGREE = told({"jax": "0"}, "machine", None)
+
+
+def learned(episodes):
+    """What is kept of a run, with a card as long as that of a learner of COACH."""
+    card, arrays = packed({"kind": "learner", "algo": "coach", "note": "n" * 400}, {"weights": np.ones(42)})
+    return [KeptRow(episode, -12.5, "state", card, arrays) for episode in range(1, episodes + 1)]
+
+
+@pytest.mark.parametrize("episodes", [0, 3])
+def test_a_card_has_room_for_all_runs_of_an_accelerator(tmp_path, episodes):
+    """8,192 lanes, and 64 lanes of which each episode is kept, did not fit into the bytes that a card may have."""
+    kept = [learned(2000 if episodes else 0)] * 64 + [[]] * (len(CELLS) - 64)
+    out = tmp_path / "out"
+    card = {"kind": KIND, **AGREE, "runs": runs_as_json((cell, 7) for cell in CELLS)}
+    arrays = {"x": np.ones(1), **checkpointing._kept_arrays(kept)}
+    write_folder(out / "checkpoints" / "12345678901-1-0", card, arrays)
+    places = survey(out, lambda cell: True, AGREE, str)
+    assert list(places) == CELLS and [place.index for place in places.values()] == [*range(len(CELLS))]
+    card = read_card(out / "checkpoints" / "12345678901-1-0", KIND)
+    assert set(runs_of(card)) == {(cell, 7) for cell in CELLS}
+    arrays = read_arrays(out / "checkpoints" / "12345678901-1-0", card, KIND)
+    got = checkpointing._kept_rows(arrays, len(CELLS))
+    assert [[vars(row) for row in rows] for rows in got[60:70]] == [
+        [vars(row) for row in rows] for rows in kept[60:70]
+    ]
+    assert list(arrays) == ["x"]
+
+
+def test_what_is_kept_lies_in_several_arrays_where_it_is_long(monkeypatch):
+    monkeypatch.setattr(checkpointing, "PIECE", 100)
+    rows = [learned(1), [], [KeptRow(2, float("nan"), "policy", "{}", b"")]]
+    arrays = checkpointing._kept_arrays(rows)
+    assert sorted(arrays) == ["kept", "kept.0", "kept.1", "kept.2", "kept.3"]
+    *same, odd = checkpointing._kept_rows(dict(arrays), 3)
+    assert [[vars(row) for row in each] for each in same] == [
+        [vars(row) for row in each] for each in rows[:2]
+    ]
+    assert np.isnan(odd[0].returns) and odd[0].arrays == b""
+    for broken in ({**arrays, "kept.4": np.ones(1, np.uint8)}, {**arrays, "kept": np.ones(9, np.uint8)}):
+        with pytest.raises(ValueError, match=r"kept is not what|not compressed"):
+            checkpointing._kept_rows(broken, 3)
+    with pytest.raises(ValueError, match="kept is not what"):
+        checkpointing._kept_rows(dict(arrays), 2)
+
+
+def test_compressed_values():
+    value = {"a": [1, 2.5, None], "b": "text" * 1000}
+    data = compressed(value)
+    assert len(data) < 100 and expanded(data) == value
+    for broken in (b"", data[:-3], json.dumps(value).encode()):
+        with pytest.raises(ValueError, match="compressed JSON"):
+            expanded(broken)
