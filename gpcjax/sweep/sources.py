@@ -1,7 +1,8 @@
 """Folders that runs begin with: what is learned there, and which of it a run takes. Loads no jax.
 
 Such a folder is a run folder with kept states, of which the newest of each run counts, or one saved learner. Of the
-states themselves no more is in memory than one part of the folder: they may be gigabytes, and each worker reads some.
+states themselves few are in memory, neighbours in one part of the folder: they may be gigabytes, and each worker reads
+some.
 """
 
 import functools
@@ -70,6 +71,8 @@ class Contents:
 
     def __init__(self, folder: Path, states: Sequence[State], digest: str):
         self.folder, self.digest, self.states = folder, digest, states
+        self._held = list(dict.fromkeys(state.card["algo"] for state in states))
+        self._apart: dict[tuple[Any, ...], tuple[str, dict[Any, list[State]]] | None] = {}
         self._runs: dict[tuple[str, int], list[State]] = {}
         for state in states:
             if state.values:
@@ -82,7 +85,7 @@ class Contents:
             UserError: nothing here, or it does not say which; `place` begins the message.
         """
         told = f"{place} {self.folder}"
-        held = list(dict.fromkeys(state.card["algo"] for state in self.states))
+        held = self._held
         algo = next((name for name in (cell.algo, *RELATIVES.get(cell.algo, ())) if name in held), None)
         if algo is None:
             raise UserError(
@@ -99,19 +102,36 @@ class Contents:
                 f"{told}: it holds nothing that {algo} learned with seed {cell.seed}, give --seeds among those it has "
                 f"({_listed(sorted(seeds))})"
             )
-        for name in found[0].values:
-            values = list(dict.fromkeys(state.values[name] for state in found))
-            if len(values) == 1 or name in ("algo", "seed"):
-                continue
+        path: tuple[Any, ...] = (algo, cell.seed)
+        while (apart := self._told_apart(path, found)) is not None:
+            name, by_value = apart
             own = getattr(cell, name) if name in _TOLD_OF_RUN else setting_of(cell, name)
-            found = [state for state in found if state.values[name] == own]
+            found, path = by_value.get(own, []), (*path, own)
             if not found:
                 raise UserError(
-                    f"{told}: {algo} learned there with {name} {_listed(values)}, and these runs have "
+                    f"{told}: {algo} learned there with {name} {_listed(by_value)}, and these runs have "
                     f"{'no' if own is None else shown(own)} {name}: give one of them, or a folder with one alone"
                 )
         (state,) = found
         return state
+
+    def _told_apart(
+        self, path: tuple[Any, ...], found: Sequence[State]
+    ) -> tuple[str, dict[Any, list[State]]] | None:
+        """The first column in which these states differ, and they by its values; None where they differ in none.
+
+        Kept for each `path` to them: what runs ask is asked by each of them.
+        """
+        if path not in self._apart:
+            self._apart[path] = None
+            for name in found[0].values if len(found) > 1 else ():
+                by_value: dict[Any, list[State]] = {}
+                for state in found:
+                    by_value.setdefault(state.values[name], []).append(state)
+                if len(by_value) > 1:
+                    self._apart[path] = name, by_value
+                    break
+        return self._apart[path]
 
     def packed(self, state: State, place: str = "start") -> tuple[str, bytes]:
         """Card and arrays of one of the states of runs, as they were kept.
@@ -122,12 +142,10 @@ class Contents:
         assert state.place is not None
         part, episode, digest = state.place
         try:
-            rows = _part(self.folder / KEPT / part)
-            wanted = (state.values["algo"], state.values["seed"], episode)
-            columns = (rows[name].to_pylist() for name in ("algo", "seed", "episode"))
-            same = [index for index, own in enumerate(zip(*columns, strict=True)) if own == wanted]
-            found = rows.take(same)
-            pairs = zip(found["card"].to_pylist(), found["arrays"].to_pylist(), strict=True)
+            path = self.folder / KEPT / part
+            places = _places(path)[state.values["algo"], state.values["seed"], episode]
+            rows = (_group(path, group).slice(row, 1).to_pylist()[0] for group, row in places)
+            pairs = ((row["card"], row["arrays"]) for row in rows)
             return next(pair for pair in pairs if _sum(*pair) == digest)
         except (OSError, KeyError, StopIteration, pa.ArrowException):
             raise UserError(f"{place} {self.folder}: it has changed since the sweep was asked for") from None
@@ -149,9 +167,23 @@ class Contents:
 
 
 @functools.lru_cache(maxsize=1)
-def _part(path: Path) -> pa.Table:
-    """Of neighbouring runs it is the same one."""
-    return pq.ParquetFile(path).read(columns=["algo", "seed", "episode", "card", "arrays"])
+def _places(path: Path) -> dict[tuple[str, int, int], list[tuple[int, int]]]:
+    """Row group, and place in it, of what is kept in a file, by learner, seed and episode. Of neighbours it is one."""
+    found: dict[tuple[str, int, int], list[tuple[int, int]]] = {}
+    with pq.ParquetFile(path) as file:
+        for group in range(file.num_row_groups):
+            rows = file.read_row_group(group, columns=["algo", "seed", "episode"])
+            columns = (rows[name].to_pylist() for name in ("algo", "seed", "episode"))
+            for place, key in enumerate(zip(*columns, strict=True)):
+                found.setdefault(key, []).append((group, place))
+    return found
+
+
+@functools.lru_cache(maxsize=1)
+def _group(path: Path, group: int) -> pa.Table:
+    """Card and arrays of each row of a row group: of few, but in parts of 0.2.0, which have one group."""
+    with pq.ParquetFile(path) as file:
+        return file.read_row_group(group, columns=["card", "arrays"])
 
 
 def source_of(text: str, place: str) -> Source:
