@@ -179,10 +179,16 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
                 )
             (out / FAULT).unlink(missing_ok=True)
             if running.shard is not None:  # all of them are reported on together
-                whole = out.parent.parent
-                print(f"{out}: shard {running.shard} is there; gpcjax merge {whole}, when all of them are")
-                return 0
+                return _tell_shard(out, running.shard, running.as_json)
             return report(out, running.as_json, anew=ran)
+
+
+def _tell_shard(out: Path, shard: Shard, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps({"event": "shard", "shard": str(shard), "out": str(out)}))
+    else:
+        print(f"{out}: shard {shard} is there; gpcjax merge {out.parent.parent}, when all of them are")
+    return 0
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Sweeps in shards that grow: also by little, and where a shard is lost."""
 
+import json
 import shutil
 
 import pytest
@@ -41,6 +42,14 @@ def test_by_fewer_cells_than_shares(tmp_path):
     assert cli.main(["merge", str(out)]) == 0
     with pytest.raises(UserError, match="shard 1/2: there are 1 cells only, give i/n with n up to that"):
         run(tmp_path / "new", 1, seeds=1)
+
+
+def test_for_programs_each_line_is_json(tmp_path, capsys):
+    words = "sweep --env mountaincar --algo coach --episodes 3 --seeds 4 --jobs 1 --shard 1/2"
+    assert cli.main([*words.split(), "--out", str(tmp_path / "o"), "--json"]) == 0
+    *_, end, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (end["event"], end["complete"]) == ("end", True)
+    assert last == {"event": "shard", "shard": "1/2", "out": str(Shard(1, 2).folder(tmp_path / "o"))}
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The estimate of the time that is left, on histories of uneven sweeps; and what is shown, and where."""
 
+import contextlib
 import io
 import json
 import random
@@ -544,3 +545,12 @@ def test_json_lines():
         "left_s": told[1]["left_s"], "compile_s": told[1]["compile_s"], "compiling": True,
     }  # fmt: skip
     assert told[1]["left_s"] >= told[1]["compile_s"] > 0
+    assert told[-1]["complete"] is True and "complete" not in told[0]
+
+
+def test_json_lines_say_how_it_ended():
+    stream = io.StringIO()
+    with contextlib.suppress(KeyboardInterrupt), JsonLines("cartpole", 10, 1, stream, Clock()):
+        raise KeyboardInterrupt
+    *_, last = map(json.loads, stream.getvalue().splitlines())
+    assert (last["event"], last["complete"]) == ("end", False)
