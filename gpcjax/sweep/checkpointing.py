@@ -72,6 +72,14 @@ class Checkpointer:
         self._since = time.monotonic()
         self._took = self._since - began
 
+    def close(self) -> str | None:
+        """The name of the last checkpoint, which helps nobody once all rows of the pool are stored; None without one.
+
+        It stays until then: whoever stores the rows removes it.
+        """
+        written, self._written = self._written, None
+        return None if written is None else written.name
+
     def _forget(self) -> None:
         if self._written is not None:
             shutil.rmtree(self._written, ignore_errors=True)

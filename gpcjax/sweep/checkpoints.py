@@ -3,8 +3,9 @@
     OUT/checkpoints/TIME-PID-NUMBER/    a folder of `gpcjax.policies.folder`: arrays by orbax, a card, their sums
 
 A worker writes such a folder every now and then, with all runs that it has at that moment, and then removes the one
-before. Its card lists their cells, and how far each of them is. Nothing in it is part of what a sweep found: whatever
-is not whole, or of other versions or another kind of machine, costs the time that it would have saved.
+before; the last one of a program goes when all its rows are stored. Its card lists their cells, and how far each of
+them is. Nothing in it is part of what a sweep found: whatever is not whole, or of other versions or another kind of
+machine, costs the time that it would have saved.
 """
 
 import base64
@@ -151,6 +152,12 @@ def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, P
     finally:
         shutil.rmtree(parts, ignore_errors=True)
     return {cell: Place(name, index) for index, (cell, _) in enumerate(_runs(whole, {}))}
+
+
+def remove(out: Path, name: str) -> None:
+    """A checkpoint of which all runs are stored."""
+    if is_checkpoint(name):
+        shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
 
 
 def remove_all(out: Path) -> None:

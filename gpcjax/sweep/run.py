@@ -14,7 +14,7 @@ from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.sweep import experience, machine, stopping
 from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.checkpoints import remove, remove_all, survey, told
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
 from gpcjax.sweep.fitting import left_out
@@ -289,6 +289,7 @@ class _Sweep:
             before=lambda programs: experience.of(programs, cache_folder()),
             starts=experience.start_of(cache_folder()),
             on_machine=lambda described: _note_machine(out, manifest, described),
+            on_over=self._forget_checkpoint,
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)
@@ -335,6 +336,10 @@ class _Sweep:
         self._store.append(rows)
         self._flushed = time.monotonic()
         self._save(complete=False)
+
+    def _forget_checkpoint(self, name: str) -> None:
+        self._flush()  # until then it is all that there is of these runs
+        remove(self._out, name)
 
     def _keep_baseline(self, name: str, numbers: dict[str, float]) -> None:
         baselines = self._manifest["baselines"]

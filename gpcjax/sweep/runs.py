@@ -82,6 +82,12 @@ class Runs:
         except UserError as error:
             self._note(f"no checkpoint: {error}")
 
+    def close(self) -> None:
+        """All runs have ended, and are handed in."""
+        name = self._checkpointer.close()
+        if name is not None:
+            self._say(("over", name))
+
     def _note(self, line: str) -> None:
         self._say(("note", line))
 

@@ -1,17 +1,22 @@
 """What checkpoints say of runs and of what is kept of them, whatever wrote these. Loads no jax but for the writing."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
 from gpcjax.sweep import checkpointing
+from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import KIND, runs_as_json, runs_of, survey, told
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.packing import compressed, expanded, packed
 from gpcjax.sweep.plan import plan
+from gpcjax.sweep.reading import read_episodes
+from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
+from tests.sweep.pretended import Pretended
 
 CELLS = plan(spec_of(env="cartpole", algo="coach", error=[0.1, 0.2], seeds=4096, episodes=50, oracle="lqr"))
 AGREE = told({"jax": "0"}, "machine", None)
@@ -67,3 +72,43 @@ def test_compressed_values():
     for broken in (b"", data[:-3], json.dumps(value).encode()):
         with pytest.raises(ValueError, match="compressed JSON"):
             expanded(broken)
+
+
+def test_the_last_one_of_a_program_goes_when_its_rows_are_stored(tmp_path, monkeypatch):
+    """Not when the sweep ends: each program would leave one until then."""
+    monkeypatch.setattr(run_module, "FLUSH_SECONDS", 1e9)  # rows wait in memory
+    out, seen = tmp_path / "out", []
+    folder = out / "checkpoints" / "12345678901-1-0"
+
+    class Saving(Pretended):
+        def _work(self, cells, baselines, on_rows, on_baseline, on_progress):
+            super()._work(cells[:2], baselines, on_rows, on_baseline, on_progress)
+            folder.mkdir(parents=True)
+            desk.answer(desk.workers - 1, ("over", folder.name))
+            desk.answer(desk.workers - 1, ("over", "../../mine"))
+            seen.append((folder.exists(), len(read_episodes(out))))
+            super()._work(cells[2:], [], on_rows, on_baseline, on_progress)
+
+        def run(self, given):
+            nonlocal desk
+            desk = given
+            super().run(given)
+
+    desk = None
+    (tmp_path / "mine").mkdir()
+    settings = {"env": "cartpole", "algo": ["coach", "gpc"], "oracle": "lqr", "seeds": 2, "episodes": 3}
+    sweep(out, executor=Saving()(1), **settings)
+    assert seen == [(False, 2 * 3)] and (tmp_path / "mine").exists()
+
+
+def test_a_worker_says_so_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpointing, "_packed", lambda snapshots, kept: ({}, {"x": np.ones(1)}))
+    one = checkpointing.Checkpointer(tmp_path, 1e-9, AGREE)
+    assert one.close() is None
+    pool = SimpleNamespace(snapshot=lambda: [1])
+    for _ in range(2):
+        one._since, one._took = 0.0, 0.0
+        one.look(pool, {})
+    (name,) = (path.name for path in tmp_path.iterdir())
+    assert one.close() == name and one.close() is None
+    assert (tmp_path / name).exists()
