@@ -55,6 +55,8 @@ class Told:
     clock: Callable[[], float] = time.monotonic
     state: State = field(default_factory=State)
     began: float = 0.0
+    _reckoned: tuple[float, float] | None = None
+    """When the time left was reckoned last, and what it was."""
 
     def begin(self) -> None:
         """From now on."""
@@ -96,9 +98,17 @@ class Told:
     @property
     def share(self) -> float:
         """Of the time that is over, as far as it can be told."""
-        left = seconds_left(self.state.works, self.jobs)
+        left = self._seconds_left()
         spent = self.clock() - self.began
         return spent / (spent + left) if spent + left else 0.0
+
+    def _seconds_left(self) -> float:
+        """Reckoned each second: messages come as often as there are workers, and who shows them answers these, too."""
+        now = self.clock()
+        if self._reckoned is None or now - self._reckoned[0] >= 1.0 or self.state.finished >= self.cells:
+            self._reckoned = now, seconds_left(self.state.works or self.works, self.jobs)
+        since, seconds = self._reckoned
+        return max(seconds - (now - since), 0.0)
 
     @property
     def speed(self) -> str:
@@ -118,7 +128,7 @@ class Told:
         works = self.state.works or self.works
         if not works:
             return ""
-        seconds = _clock_time(seconds_left(works, self.jobs))
+        seconds = _clock_time(self._seconds_left())
         if any(is_seen(work) for work in works):
             return f"{seconds} left"
         return f"about {seconds} left{self._compiling(works)}"
