@@ -37,7 +37,7 @@ _LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": No
 }
 """What a specification means that does not name them: they came with later versions."""
 
-Value = str | float | bool | tuple[Any, ...] | None
+Value = str | float | bool | tuple[Any, ...] | Source | None
 """Of a setting in a group; None where it changes nothing."""
 
 
@@ -146,7 +146,7 @@ def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | 
     for each, meant in _LATER.items():
         specification.setdefault(each, meant)
     if specification["start"] is not None:
-        specification["start"] = Source(**specification["start"]).label
+        specification["start"] = Source(**specification["start"])
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}
     given = points.given(specification)
     specification.pop("hyperparameters", None)

@@ -194,6 +194,23 @@ class TestAcrossVersions:
         assert same in found.notes
         assert not any("things" in line for line in found.notes)
 
+    def test_the_same_start_in_another_folder_is_no_other_setting(self, tmp_path):
+        def begun(name, start, digest, scale):
+            path = folder(tmp_path / name, given={LP: scale})
+            text = json.loads((path / "manifest.json").read_text())
+            text["specification"]["start"] = {"folder": str(tmp_path / start), "digest": digest}
+            write_manifest(path, text | {"hash": hash_of(text["specification"])})
+            return path
+
+        one = begun("one", "first", 12 * "a", 0.1)
+        other, third = begun("other", "copy", 12 * "a", 0.3), begun("third", "copy", 12 * "b", 0.1)
+        found = gpcjax.compare(one, other)
+        assert not any("start" in line for line in found.notes) and len(areas(found)) == 2
+        found = gpcjax.compare(one, third)
+        told = "start (first (aaaaaaaaaaaa) in one; copy (bbbbbbbbbbbb) in third)"
+        assert any(told in line for line in found.notes)
+        assert set(areas(found)["start_second"]) == {"copy (bbbbbbbbbbbb)"}
+
     def test_more_than_one_thing_is_said_before_all(self, tmp_path):
         bits = (
             "architecture",
