@@ -14,7 +14,7 @@ from gpcjax.errors import UserError
 from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points, reading
-from gpcjax.sweep.growth import usual
+from gpcjax.sweep.boxes import usual
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.requested import chosen_of

@@ -9,7 +9,7 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from gpcjax.registry import find
-from gpcjax.sweep.growth import setting_of
+from gpcjax.sweep.boxes import setting_of
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
 from gpcjax.sweep.plan import Cell

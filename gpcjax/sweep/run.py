@@ -33,7 +33,7 @@ from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
-from gpcjax.sweep.siblings import asked_before
+from gpcjax.sweep.siblings import asked_with
 from gpcjax.sweep.sofar import SoFar
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
 from gpcjax.sweep.store import Store
@@ -220,10 +220,10 @@ def _manifest(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard 
             manifest["machine"] = {"processor": UNKNOWN}
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
         return manifest
-    before = [] if shard is None else asked_before(out, shard, spec)
-    if before:
+    specs = [spec] if shard is None else asked_with(out, shard, spec)
+    if len(specs) > 1:
         tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
-    return _asked_for([*before, spec]) | {ENTRY: as_json(keeping)}
+    return _asked_for(specs) | {ENTRY: as_json(keeping)}
 
 
 def _recovered(spec: SweepSpec, origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:

@@ -20,7 +20,7 @@ from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import CARD, SUMS, read_arrays, read_card
 from gpcjax.registry import find
-from gpcjax.sweep.growth import setting_of
+from gpcjax.sweep.boxes import setting_of
 from gpcjax.sweep.layout import KEPT, MANIFEST, sha256
 from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.plan import Cell, plan

@@ -13,7 +13,7 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report import compare_page
 from gpcjax.report.compare import folder_names, usual_out
-from gpcjax.sweep.growth import usual
+from gpcjax.sweep.boxes import usual
 from gpcjax.sweep.layout import part_name, sha256
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import hash_of

@@ -193,6 +193,22 @@ def test_so_is_one_of_requests_that_later_ones_cover(tmp_path, pretended, capsys
     assert "not rows of this sweep" not in capsys.readouterr().err
 
 
+def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, pretended, capsys):
+    """It grew by no cell, which left it unfinished, and with a further request for ever."""
+    requests = [{}, {"seeds": "2-4"}, {"error": 0.2}, {"seeds": "2-4", "error": 0.2}]
+    assert grow(tmp_path, pretended, *requests) == [4, 6, 4, 6]
+    before = read_manifest(tmp_path)
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, {"seeds": "1-3", "error": [0.1, 0.2]}, {"seeds": 5}) == [0, 0]
+    assert read_manifest(tmp_path) == before and "grows" not in capsys.readouterr().err
+    assert grow(tmp_path, pretended, {"seeds": "4-6", "error": [0.1, 0.2, 0.3]}) == [14]
+    # What was lost is made again, under the hash of one of these requests.
+    for folder in ("episodes", "corrections"):
+        shutil.rmtree(tmp_path / folder)
+    assert grow(tmp_path, pretended, {"seeds": 5, "error": [0.1, 0.2]}) == [20]
+    assert len(load(tmp_path)) == 20 * 3
+
+
 def test_parts_of_a_sweep_that_was_not_asked_here_stay_foreign(tmp_path, pretended):
     grow(tmp_path / "one", pretended, {}, {"seeds": 3})
     sweep(tmp_path / "other", **(BASE | {"error": 0.5}))
