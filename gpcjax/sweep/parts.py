@@ -16,7 +16,7 @@ from gpcjax.sweep.atomic import target_of
 from gpcjax.sweep.growth import Filled, hashes, requests
 from gpcjax.sweep.layout import BESIDE, CORRECTIONS, EPISODES, Say, parse_part
 from gpcjax.sweep.rows import correction_column
-from gpcjax.sweep.sealing import Damage, Origin, beside, decoded, opened, replaced_by, seal_of
+from gpcjax.sweep.sealing import Damage, Origin, beside, columns_of, decoded, opened, replaced_by, seal_of
 from gpcjax.sweep.unsealed import are_corrections, may_hold_unsealed, unsealed_tables
 
 
@@ -157,6 +157,23 @@ def origins_of(out: Path) -> list[Origin]:
             if part := opened(out, name):
                 found.append(part.origin)
     return found
+
+
+def refuse_measured(out: Path, manifest: Mapping[str, Any], names: Container[str]) -> None:
+    """Refuse a folder whose rows have one of these settings as a column already: what a learner of one's own measured.
+
+    Raises:
+        UserError: they have, and what was measured would be taken for the setting.
+    """
+    for part in names_in(out / EPISODES):
+        named = parse_part(part)
+        if named is not None and named.hash in hashes(manifest):
+            for column in columns_of(out, part):
+                if column in names:
+                    raise UserError(
+                        f"{out}: {column} varies now, and a learner has measured a {column} there: give a new folder "
+                        "(--out)"
+                    )
 
 
 def orphans(out: Path) -> list[tuple[str, str]]:

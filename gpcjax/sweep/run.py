@@ -27,7 +27,7 @@ from gpcjax.sweep.lock import held
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
 from gpcjax.sweep.notebook import usual_watcher
 from gpcjax.sweep.options import OPTIONS
-from gpcjax.sweep.parts import origins_of
+from gpcjax.sweep.parts import origins_of, refuse_measured
 from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.runfolder import check_sweep, make_writable, own_parts, set_aside
@@ -195,6 +195,7 @@ def _asked(
     if request is not None:
         return manifest, request
     larger = grown(manifest, spec)
+    refuse_measured(out, manifest, {*larger["varying"]} - {*manifest["varying"]})
     if shard is not None:
         larger["cells"] = len(share_of(larger, shard))
     new = larger["cells"] - manifest["cells"]

@@ -131,6 +131,14 @@ def replaced_by(out: Path, name: str) -> tuple[str, ...]:
         return ()
 
 
+def columns_of(out: Path, name: str) -> list[str]:
+    """Names of the columns of a part's episodes, as far as can be told without reading them."""
+    try:
+        return list(pq.read_schema(out / EPISODES / name).names)
+    except Exception:  # as above
+        return []
+
+
 def bytes_of(out: Path, folder: str, name: str) -> bytes:
     """A file of a part. Raises `Damage`, and `UserError` if it may not be read."""
     try:

@@ -21,7 +21,7 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import CARD, SUMS, read_arrays, read_card
 from gpcjax.registry import find
 from gpcjax.sweep.boxes import setting_of
-from gpcjax.sweep.layout import KEPT, MANIFEST, sha256
+from gpcjax.sweep.layout import KEPT, MANIFEST, Say, sha256, tell
 from gpcjax.sweep.packing import unpacked
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.reading import kept_parts
@@ -193,7 +193,7 @@ def source_of(text: str, place: str) -> Source:
         UserError: it is no such folder, or damaged; `place` begins the message.
     """
     folder = Path(os.path.abspath(os.path.expanduser(text)))
-    return Source(str(folder), contents_of(folder, place).digest)
+    return Source(str(folder), contents_of(folder, place, tell).digest)
 
 
 def check_start(spec: SweepSpec, place: str = "start") -> None:
@@ -230,10 +230,10 @@ def check_start(spec: SweepSpec, place: str = "start") -> None:
             )
 
 
-def contents_of(folder: Path, place: str) -> Contents:
-    """What a folder holds. Raises UserError."""
+def contents_of(folder: Path, place: str, say: Say = lambda line: None) -> Contents:
+    """What a folder holds; `say` gets a line for what is damaged. Raises UserError."""
     if (folder / MANIFEST).is_file():
-        return _of_runs(folder, place)
+        return _of_runs(folder, place, say)
     if (folder / CARD).is_file():
         card = read_card(folder, "learner")
         if card.get("kind") == "learner" and (folder / SUMS).is_file():
@@ -246,9 +246,9 @@ def contents_of(folder: Path, place: str) -> Contents:
     )
 
 
-def _of_runs(folder: Path, place: str) -> Contents:
+def _of_runs(folder: Path, place: str, say: Say) -> Contents:
     last: dict[str, State] = {}
-    for part, own, episode, card, arrays in _kept_states(folder):
+    for part, own, episode, card, arrays in _kept_states(folder, say):
         key = json.dumps(list(own.values()))
         before = last.get(key)
         if before is None or before.place is None or before.place.episode <= episode:
@@ -268,10 +268,10 @@ def _of_runs(folder: Path, place: str) -> Contents:
     return Contents(folder, states, sha256("\n".join(sorted(sums)).encode())[:12])
 
 
-def _kept_states(folder: Path) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
+def _kept_states(folder: Path, say: Say) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
     """Part, values of the columns that tell runs apart, episode, card and arrays of each state."""
     beside = (*IDENTITY, "episode", "return", "kind", "card", "arrays")
-    for part, table in kept_parts(folder):
+    for part, table in kept_parts(folder, say=say):
         names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in table.column_names if name not in beside)]
         for batch in table.to_batches(max_chunksize=64):
             columns = [

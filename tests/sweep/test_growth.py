@@ -1,8 +1,10 @@
 """Run folders that are asked for more, with workers that are only pretended."""
 
+import dataclasses
 import json
 import shutil
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -10,15 +12,16 @@ from gpcjax.errors import UserError
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.layout import GROWN
-from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import load, read_corrections, read_episodes
-from gpcjax.sweep.run import sweep
+from gpcjax.sweep.run import new_manifest, sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun, manifest_of
-from tests.sweep.pretended import Pretended
+from tests.sweep.pretended import Pretended, rows
 
 BASE = {"env": "cartpole", "algo": ["gpc", "coach"], "error": 0.1, "seeds": 2, "episodes": 3, "oracle": "lqr"}
 KEYS = ["algo", "oracle", "error", "seed", "episode"]
@@ -207,6 +210,21 @@ def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, 
         shutil.rmtree(tmp_path / folder)
     assert grow(tmp_path, pretended, {"seeds": 5, "error": [0.1, 0.2]}) == [20]
     assert len(load(tmp_path)) == 20 * 3
+
+
+def test_what_was_measured_is_not_taken_for_a_setting(tmp_path, pretended):
+    """A learner of one's own may measure what is a setting of a learner that comes later."""
+    settings = BASE | {"algo": "gpc"}
+    spec = spec_of(**settings)
+    write_manifest(tmp_path, held := new_manifest(spec, [], len(plan(spec))))
+    measured = {"beta": np.array([7.0, 8.0, 9.0])}
+    Store(tmp_path, held).append([dataclasses.replace(rows(cell), own=measured) for cell in plan(spec)])
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    with pytest.raises(UserError, match="beta varies now, and a learner has measured a beta there"):
+        sweep(tmp_path, **(settings | {"algo": ["gpc", "coach"], "beta": [1, 2]}))
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    sweep(tmp_path, **(settings | {"seeds": 3}))
+    assert len(load(tmp_path)) == 9
 
 
 def test_parts_of_a_sweep_that_was_not_asked_here_stay_foreign(tmp_path, pretended):

@@ -17,7 +17,8 @@ from gpcjax.sweep import sealing
 from gpcjax.sweep.checkpoints import cell_as_json, cell_of
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.growth import contradictions
-from gpcjax.sweep.layout import CHECKPOINTS
+from gpcjax.sweep.kept import kept_rows
+from gpcjax.sweep.layout import CHECKPOINTS, tell
 from gpcjax.sweep.listing import commands
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import hash_of, plan, program_of
@@ -199,6 +200,20 @@ def test_of_what_is_kept_a_row_is_read_and_not_its_part(tmp_path, monkeypatch):
     for each in plan(spec)[::4]:
         assert contents.arrays(contents.of(each))["seed"] == each.seed
     assert sum(read) == 3 and len(read) == 3 + 9
+
+
+def test_what_is_damaged_there_is_a_line_once(tmp_path, capsys):
+    """And no warning of Python's, which a command would show with a line of its source."""
+    out = begun(tmp_path, spec := spec_of(**SETTINGS | {"seeds": 3}))
+    for each in plan(spec):
+        Store(out, read_manifest(out)).append([rows(each, kept=True)])
+    first = min((out / "kept").iterdir())
+    first.write_bytes(first.read_bytes()[:-1])
+    check_start(spec_of(**SETTINGS | {"seeds": [1, 2]}, start=out))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"gpcjax: {out}: 1 damaged part left out")
+    assert len(kept_rows(out, "state", {}, tell)) == 2
+    assert capsys.readouterr().err == line + "\n"
 
 
 def test_states_that_have_changed_since_are_refused(source, tmp_path):
