@@ -31,6 +31,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import going
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
@@ -269,7 +270,7 @@ FAULTS: dict[str, Callable[[Case], None]] = {
 def finished(out: Path, spec=SPEC, first=None) -> Path:
     """A whole sweep, a part for each cell; of a folder that grew, if it was asked for `first` before."""
     out.mkdir()
-    with _workers(), mock.patch.object(run_module, "FLUSH_SECONDS", -1.0):
+    with _workers(), mock.patch.object(going, "FLUSH_SECONDS", -1.0):
         for each in filter(None, (first, spec)):
             run(each, out, 1)
     return out

@@ -84,7 +84,8 @@ def uncovered(spec: SweepSpec, boxes: Sequence[Box]) -> int:
 
     Seeds are not gone through one by one: it takes as long as there are combinations of the rest.
     """
-    alone = dataclasses.replace(spec, seeds=Seeds(((spec.seeds.spans[0][0],) * 2,)))
+    first, _ = spec.seeds.spans[0]
+    alone = dataclasses.replace(spec, seeds=Seeds(((first, first),)))
 
     @functools.cache
     def new_seeds(which: tuple[int, ...]) -> int:

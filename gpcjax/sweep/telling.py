@@ -70,13 +70,11 @@ class Told:
         )
         if not self.works:
             return line
-        return (
-            f"{line}, about {_clock_time(seconds_left(self.works, self.jobs))}{self._compiling(self.works)}"
-        )
+        return f"{line}, about {clock_time(seconds_left(self.works, self.jobs))}{self._compiling(self.works)}"
 
     def _compiling(self, works: Sequence[Work]) -> str:
         seconds = round(compiling_left(works, self.jobs))
-        return f", {_clock_time(seconds)} of it compiling" if seconds else ""
+        return f", {clock_time(seconds)} of it compiling" if seconds else ""
 
     @property
     def line(self) -> str:
@@ -87,7 +85,7 @@ class Told:
     @property
     def last(self) -> str:
         """What it has come to."""
-        took = _clock_time(self.clock() - self.began)
+        took = clock_time(self.clock() - self.began)
         return f"{self.name}: {self.finished} cells in {took}, {self._rate or 'no steps'}"
 
     @property
@@ -128,7 +126,7 @@ class Told:
         works = self.state.works or self.works
         if not works:
             return ""
-        seconds = _clock_time(self._seconds_left())
+        seconds = clock_time(self._seconds_left())
         if any(is_seen(work) for work in works):
             return f"{seconds} left"
         return f"about {seconds} left{self._compiling(works)}"
@@ -139,7 +137,7 @@ class Told:
         return None if sofar is None or sofar.range is None else table(sofar, max(lines, 1), encoding)
 
 
-def _clock_time(seconds: float) -> str:
+def clock_time(seconds: float) -> str:
     """As 1:02:03, or 2:03."""
     whole = round(seconds)
     hours, minutes = divmod(whole // 60, 60)

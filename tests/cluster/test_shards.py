@@ -11,6 +11,7 @@ import pytest
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, merging, weights
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.growth import grown
 from gpcjax.sweep.keeping import ENTRY, as_json, keeping_of
 from gpcjax.sweep.manifest import read_manifest, write_manifest
@@ -18,7 +19,6 @@ from gpcjax.sweep.merging import merge
 from gpcjax.sweep.plan import plan, program_of, specification_hash, varying
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.run import new_manifest
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.shards import Shard, check_shard, held_shard, shard_of, share_of, shares
 from gpcjax.sweep.spec import spec_of

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
-from gpcjax.sweep import checkpointing
-from gpcjax.sweep import run as run_module
+from gpcjax.sweep import checkpointing, going
 from gpcjax.sweep.checkpoints import KIND, runs_as_json, runs_of, survey, told
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.packing import compressed, expanded, packed
@@ -76,7 +75,7 @@ def test_compressed_values():
 
 def test_the_last_one_of_a_program_goes_when_its_rows_are_stored(tmp_path, monkeypatch):
     """Not when the sweep ends: each program would leave one until then."""
-    monkeypatch.setattr(run_module, "FLUSH_SECONDS", 1e9)  # rows wait in memory
+    monkeypatch.setattr(going, "FLUSH_SECONDS", 1e9)  # rows wait in memory
     out, seen = tmp_path / "out", []
     folder = out / "checkpoints" / "12345678901-1-0"
 

@@ -9,13 +9,15 @@ import pandas as pd
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import origin
 from gpcjax.sweep import run as run_module
+from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.layout import GROWN
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import load, read_corrections, read_episodes
-from gpcjax.sweep.run import new_manifest, sweep
+from gpcjax.sweep.run import sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import spec_of
@@ -146,8 +148,8 @@ def test_seeds_that_are_not_held_are_not_taken_for_held(tmp_path):
 
 def test_another_version_is_refused(tmp_path, pretended, monkeypatch):
     sweep(tmp_path, **BASE)
-    versions = run_module.versions()
-    monkeypatch.setattr(run_module, "versions", lambda: {**versions, "jax": "99"})
+    versions = origin.versions()
+    monkeypatch.setattr(origin, "versions", lambda: {**versions, "jax": "99"})
     with pytest.raises(UserError, match=r"it was begun with jax .*, this is 99"):
         sweep(tmp_path, **(BASE | {"seeds": 3}))
 

@@ -9,11 +9,11 @@ import pyarrow as pa
 
 from gpcjax.study.design import Treatment
 from gpcjax.study.report.held import Held, RunRows
+from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import varying
-from gpcjax.sweep.run import new_manifest
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.store import Store
 
