@@ -83,7 +83,8 @@ endef
 quoted = '$(subst $(newline), ,$(subst ','\'',$(value $1)))'
 flag = $(if $(filter $(call name,$1),$(GIVEN)),--$(lastword $(subst :, ,$1))=$(call quoted,$(call name,$1)))
 WORDS = words=$$(printf %s $(call quoted,ARGS) | xargs printf '%s\n') || exit 2; IFS=$$(printf '\n_') && IFS=$${IFS%_}; set -f;
-with_args = $(if $(ARGS),$(WORDS) $1 $$words,$1)
+# Where there are such words only what is run says itself: the line that takes them apart is for nobody to read.
+with_args = $(if $(ARGS),@$(WORDS) $1 $$words,$1)
 SETTINGS = $(if $(SPEC),$(call quoted,SPEC)) $(foreach pair,$(FLAGS),$(call flag,$(pair)))
 REPRODUCTION = $(if $(filter-out 0,$(QUICK)),--quick) $(foreach pair,ONLY:only OUT:out JOBS:jobs,$(call flag,$(pair)))
 

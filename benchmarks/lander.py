@@ -1,6 +1,9 @@
 """Lunar lander: steps a second with a learner, against the bare physics on the same cores in the same run.
 
-    python -m benchmarks.lander [--repetitions N] [--runs N] [--episodes N] [--algo gpc,coach,gpc-ns]
+    python -m benchmarks.lander [--repetitions N] [--runs N] [--episodes N] [--algo gpc,gpc:256,coach,gpc-ns,gpc-ns:256]
+
+`gpc:256` is GPC with room for 256 points in each dictionary, of which a new one takes the nearest one's place when it
+is full (`--max-capacity 256 --on-full replace-nearest`).
 
 A contender runs once on each core at the same time, and their steps a second add up; compilation is left out.
 Repetitions are interleaved, reported is the median. The physics replays episodes that the heuristic flew, on
@@ -35,7 +38,7 @@ def main() -> None:
     parser.add_argument("--core", type=int, default=0, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.alone:
-        runs = max(8, arguments.runs // 4) if arguments.alone == "gpc-ns" else arguments.runs
+        runs = max(8, arguments.runs // 4) if arguments.alone.startswith("gpc-ns") else arguments.runs
         first = arguments.core * runs
         print(json.dumps(measure(arguments.alone, range(first, first + runs), arguments.episodes)))
         return
@@ -97,12 +100,14 @@ def _physics(seconds: float = 15.0) -> dict[str, float]:
     return {"steps": steps, "seconds": time.perf_counter() - began}
 
 
-def _learner(algo: str, seeds: range, episodes: int) -> dict[str, float]:
+def _learner(name: str, seeds: range, episodes: int) -> dict[str, float]:
     from gpcjax.sweep.build import make_pool, start_of
     from gpcjax.sweep.plan import plan
     from gpcjax.sweep.spec import spec_of
 
-    cells = plan(spec_of(env="lunarlander", algo=algo, seeds=seeds.stop, episodes=episodes))
+    algo, _, points = name.partition(":")
+    bounded = {"max_capacity": int(points), "on_full": "replace-nearest"} if points else {}
+    cells = plan(spec_of(env="lunarlander", algo=algo, seeds=seeds.stop, episodes=episodes, **bounded))
     cells = [cell for cell in cells if cell.seed in seeds]
     pool, waiting, delivered = make_pool(cells[0]), iter(cells), []
     began = time.perf_counter()

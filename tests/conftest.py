@@ -82,11 +82,13 @@ COMPILED_PLAINLY = (
     "engine/test_rollout.py",
     "engine/test_schedule.py",
     "engine/test_session.py",
+    "engine/test_streams.py",
     "engine/test_taught.py",
     "envs/test_brax",
     "envs/test_cartpole.py",
     "envs/test_env_registry.py",
     "envs/test_experts.py",
+    "envs/test_foreign_tasks.py",
     "envs/test_lanes.py",
     "envs/test_mountaincar.py",
     "envs/test_pendulum.py",
@@ -108,6 +110,7 @@ COMPILED_PLAINLY = (
     "reproduce/test_illustrations.py",
     "study/",
     "sweep/test_lander.py",
+    "sweep/test_own_settings.py",
     "sweep/test_ppo.py",
     "sweep/test_schedule.py",
     "sweep/test_start.py",
@@ -131,42 +134,50 @@ one program. It compiles in half of the time. Others look at programs, compare b
 LONGEST = (
     "teach/test_browser.py",
     "docs/test_snippets.py",
-    "sweep/test_underway.py",
-    "engine/test_together.py",
+    "learners/test_gpc.py",
+    "engine/test_keeping.py",
+    "engine/test_pool.py",
     "tune/test_tuning.py",
     "study/test_hall.py",
-    "study/test_server.py",
-    "test_settings.py",
     "sweep/test_sweeps.py",
-    "engine/test_keeping.py",
-    "learners/test_gpc.py",
-    "engine/test_host.py",
-    "engine/test_pool.py",
-    "learners/test_parity.py",
+    "sweep/test_underway.py",
     "engine/test_session.py",
-    "engine/test_cost.py",
-    "reproduce/test_claims.py",
-    "learners/test_carried.py",
+    "test_settings.py",
     "engine/test_evaluate.py",
-    "reproduce/test_illustrations.py",
-    "sweep/test_executables.py",
-    "learners/test_saved.py",
+    "teach/test_lesson.py",
+    "study/test_report.py",
     "reproduce/test_run.py",
-    "learners/test_calls.py",
+    "reproduce/test_claims.py",
+    "gp/test_likelihood.py",
+    "tune/test_likelihood.py",
+    "sweep/test_inprocess.py",
+    "engine/test_cost.py",
+    "engine/test_classroom.py",
+    "reproduce/test_illustrations.py",
     "gp/test_regression.py",
+    "learners/test_calls.py",
+    "learners/test_carried.py",
     "test_foreign.py",
+    "sweep/test_executables.py",
+    "learners/test_parity.py",
+    "learners/test_saved.py",
     "gp/test_factor.py",
     "gp/test_fit.py",
     "report/test_compare.py",
-    "engine/test_host_pool.py",
     "report/test_run.py",
-    "sweep/test_start.py",
-    "teach/test_from.py",
-    "teach/test_lesson.py",
-    "teach/test_taught.py",
+    "engine/test_host.py",
+    "engine/test_host_pool.py",
     "engine/test_late.py",
     "engine/test_rollout.py",
-    "sweep/test_inprocess.py",
+    "engine/test_together.py",
+    "sweep/test_start.py",
+    "teach/test_from.py",
+    "teach/test_taught.py",
+    "study/test_server.py",
+    "deploy/test_commands.py",
+    "envs/test_brax_experts.py",
+    "cluster/test_remote.py",
+    "test_makefile.py",
     "test_stopping.py",
 )
 """Modules that begin first: one that came last would keep one process at work while the others have nothing to do."""
@@ -284,22 +295,31 @@ def figures_unpainted():
         yield
 
 
-@pytest.fixture(scope="module", autouse=True)
-def compiled_programs_are_freed():
-    """After each module: they hold gigabytes otherwise, and no module uses another's."""
-    yield
-    _free()
-
-
 @pytest.fixture(autouse=True)
-def programs_of_a_large_module_are_freed():
-    """Within a module as well, where so much is held that the next tests would go beyond what is allowed."""
+def what_is_held_is_given_back():
+    """Where so much is held that the next tests would go beyond what is allowed."""
     yield
-    if _held() > LARGE:
-        _free()
+    Held.keep_below()
 
 
-LARGE = 1.1e9
+LARGE, MORE = 0.9e9, 0.2e9
+"""Bytes up to which nothing is given back: at all, and more than were left the last time."""
+
+
+class Held:
+    """How much of its memory this process gives back, and when."""
+
+    limit = LARGE
+
+    @classmethod
+    def keep_below(cls):
+        """Garbage goes first, and compiled programs if that was not enough: tests that follow use them, too."""
+        if _held() > cls.limit:
+            _give_back()
+            if _held() > cls.limit:
+                jax.clear_caches()
+                _give_back()
+                cls.limit = max(LARGE, _held() + MORE)
 
 
 def _held():
@@ -311,8 +331,7 @@ def _held():
         return 0
 
 
-def _free():
-    jax.clear_caches()
+def _give_back():
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
     if trim is not None:

@@ -26,6 +26,7 @@ from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
+from tests.sweep.pretended import Pretended
 from tests.sweep.test_sweeps import kill_and_resume
 
 FOREIGN = Path(__file__).parent / "foreign"
@@ -40,7 +41,7 @@ SETTINGS = {
 
 
 BOTH = SETTINGS | {"algo": ["gpc", "drifting:Linear"], "step_size": [0.2, 0.5]}
-BOTH |= {"max_capacity": 48, "on_full": "replace-nearest"}
+BOTH |= {"max_capacity": 16, "on_full": "replace-nearest"}
 """With dictionaries that do not grow: a program of GPC is enough."""
 
 
@@ -129,7 +130,7 @@ def test_the_usual_learners():
     assert make_learner("coach", "drifting:DRIFT").grid.counts == (5, 5)
 
 
-def test_a_teacher_without_an_expert(tmp_path, workers_in_process):
+def test_a_teacher_without_an_expert(tmp_path, workers_in_process, figures_unpainted):
     """On a task that has none: nobody's return is measured, and all else is there."""
     settings = SETTINGS | {"algo": "drifting:Linear", "teacher": "drifting:HOMEWARD"}
     for name in ("error", "oracle"):
@@ -143,22 +144,23 @@ def test_a_teacher_without_an_expert(tmp_path, workers_in_process):
     assert "oracle none" in (out / "report.html").read_text()
 
 
-def test_a_report_has_the_words_of_descriptions(tmp_path, monkeypatch, workers_in_process):
+def test_a_report_has_the_words_of_descriptions(tmp_path, monkeypatch):
     """Of tasks and learners, from the manifest: where the report is drawn, nobody's module is run."""
+    monkeypatch.setattr(run_module, "Processes", Pretended())
     out = sweep(
         tmp_path / "out",
         env="drifting:DRIFT",
         algo=["drifting:LINEAR", "coach"],
         rate=0.3,
         seeds=2,
-        episodes=2,
+        episodes=3,
     )
     manifest = read_manifest(out)
     assert manifest["labels"] == {
         "task": {"drifting:DRIFT": {"label": "Drifting", "unit": "metres, negative", "actions": ["push"]}},
         "learner": {"drifting:LINEAR": {"label": "A line"}},
     }
-    more = spec_of(env="drifting:DRIFT", algo=["coach", "drifting:Linear"], rate=0.3, seeds=2, episodes=2)
+    more = spec_of(env="drifting:DRIFT", algo=["coach", "drifting:Linear"], rate=0.3, seeds=2, episodes=3)
     assert grown(manifest, more)["labels"] == manifest["labels"]
     monkeypatch.setattr(registry, "_FOUND", {})
     monkeypatch.setattr(labels, "_TOLD", {})

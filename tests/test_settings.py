@@ -41,15 +41,25 @@ def inputs():
 
 
 @pytest.fixture
-def setting(request):
-    name, value = request.param
-    before = getattr(jax.config, name)
-    jax.config.update(name, value)
-    yield name
-    jax.config.update(name, before)
+def asked(request):
+    """What a person asks of jax during this test."""
+    before = {name: getattr(jax.config, name) for name in request.param}
+    for name, value in request.param.items():
+        jax.config.update(name, value)
+    yield request.param
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
-each_setting = pytest.mark.parametrize("setting", SETTINGS.items(), indirect=True, ids=list(SETTINGS))
+all_settings = pytest.mark.parametrize(
+    "asked",
+    [
+        pytest.param(SETTINGS, id="all at once"),
+        *(pytest.param({name: SETTINGS[name]}, id=name, marks=pytest.mark.slow) for name in SETTINGS),
+    ],
+    indirect=True,
+)
+"""Of all at once, one that is let through has the effect that it has alone."""
 
 
 def everything(folder, inputs):
@@ -78,11 +88,11 @@ def expected(tmp_path_factory):
     return [jax.tree.leaves(each) for each in everything(tmp_path_factory.mktemp("as_ever"), make_inputs())]
 
 
-@each_setting
-def test_every_number_is_the_same(inputs, expected, setting, tmp_path):
+@all_settings
+def test_every_number_is_the_same(inputs, expected, asked, tmp_path):
     got = [jax.tree.leaves(each) for each in everything(tmp_path, inputs)]
     assert_same_bits(got, expected)
-    assert getattr(jax.config, setting) == SETTINGS[setting]
+    assert {name: getattr(jax.config, name) for name in asked} == asked
 
 
 @pytest.mark.slow

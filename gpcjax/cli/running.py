@@ -16,14 +16,16 @@ from gpcjax.cli.words import settings
 from gpcjax.errors import Failure, UserError
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.beforehand import check
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.environment import compute_platform, notes
 from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
-from gpcjax.sweep.runfolder import check_report, make_writable
+from gpcjax.sweep.runfolder import check_report
 from gpcjax.sweep.shards import Shard, shard_of
 from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 
@@ -79,8 +81,8 @@ def sweep(arguments: argparse.Namespace) -> int:
         share = "" if shard is None else f"shard {shard} of "
         print(f"{share}{cells} cells of {spec.env}, {spec.episodes} episodes each, {workers}, into {out}")
         return 0
-    make_writable(out)
-    status = _teach(spec, out, running)
+    with begun(out):
+        status = _teach(spec, out, running)
     if arguments.command == "grid" and shard is None:
         _write_best(out, spec, arguments.json)
     return status
@@ -240,15 +242,13 @@ def merge(arguments: argparse.Namespace) -> int:
 
 def tune(arguments: argparse.Namespace) -> int:
     """`gpcjax tune`."""
-    from gpcjax.tune.command import said, wishes_of
+    from gpcjax.tune.command import STATE, said, wishes_of
 
     wishes = wishes_of(arguments, settings(arguments), default_jobs())
     if arguments.dry_run:
         print(said(wishes))
         return 0
-    make_writable(wishes.out)
-
-    with keeping(wishes.out):
+    with begun(wishes.out, (MANIFEST, STATE)), keeping(wishes.out):
         from gpcjax.tune.carrying_out import carry_out
 
         note()

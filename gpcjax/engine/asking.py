@@ -1,10 +1,12 @@
 """The teacher's advice to the lanes that wait."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.engine import streams
@@ -26,7 +28,7 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
     With `grows`, a lane that has no room for it stops with `Phase.NEEDS_ROOM`, to be moved into a block of larger
     capacity (`gpcjax.engine.pool`), and is asked again when it has.
     """
-    coins, here, asked = block_coins(block), moment_of(block), block.waiting
+    coins, here, asked = _coins_once(block), moment_of(block), block.waiting
     teacher = block.teacher
     moment, allowed = here, asked
     if teacher.reach:
@@ -66,10 +68,13 @@ def ask(block: Lane, expert: Expert, grows: bool) -> tuple[Lane, Float[Array, "a
 
 def block_coins(block: Lane) -> Float[Array, "action lanes"]:
     """The coins of every lane's present step."""
-    size = block.action.shape[0]
-    return jax.vmap(lambda seed, episode, step: streams.coins(seed, episode, step, size), out_axes=-1)(
-        block.seed, block.episode, block.env.time
-    )
+    drawn = functools.partial(streams.coins, action_size=block.action.shape[0])
+    return jax.vmap(drawn, out_axes=-1)(block.seed, block.episode, block.env.time)
+
+
+def _coins_once(block: Lane) -> Float[Array, "action lanes"]:
+    """The same, where any lane waits: behind that condition XLA draws them once, and not anew for each use of them."""
+    return lax.cond(block.waiting.any(), lambda: block_coins(block), lambda: jnp.ones_like(block.action))
 
 
 def may_advise(

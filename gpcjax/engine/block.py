@@ -133,7 +133,7 @@ class Block:
         if self.runs:
             block, places = self.lanes, list(self.runs)
             left += (np.asarray(block.episodes) - np.asarray(block.episode))[places].tolist()
-        return self._pace._replace(left=sum(left), longest=max(left))
+        return self._pace.with_left(left)
 
     def begin(self, starts: Sequence[Start]) -> None:
         """Puts new lanes into free places."""
@@ -173,11 +173,10 @@ class Block:
         self._rounds = min(max(self._rounds, 4), MOST_ROUNDS)
         self._counters.chunks += 1
         pace = self._pace
-        self._pace = Pace(
-            pace.lanes,
-            pace.seconds + elapsed,
-            pace.lane_seconds + elapsed * len(self.runs),
-            pace.episodes + after[1] - before[1],
+        self._pace = pace._replace(
+            seconds=pace.seconds + elapsed,
+            lane_seconds=pace.lane_seconds + elapsed * len(self.runs),
+            episodes=pace.episodes + after[1] - before[1],
         )
 
     def paused(self) -> list[tuple[Occupant, Lane]]:
@@ -191,6 +190,12 @@ class Block:
         places = self._places(Phase.FINISHED, Phase.NEEDS_ROOM)
         lanes = self._take(places)
         self._set_phase(places, Phase.EMPTY)
+        left = [int(lane.episodes - lane.episode) for lane in lanes if lane.phase == Phase.NEEDS_ROOM]
+        self._pace = self._pace._replace(
+            outgrown=self._pace.outgrown + len(left),
+            then_left=self._pace.then_left + sum(left),
+            ended=self._pace.ended + len(lanes) - len(left),
+        )
         return [(self.runs.pop(place), lane) for place, lane in zip(places, lanes, strict=True)]
 
     def snapshots(self) -> list[tuple[Occupant, Lane, Any]]:

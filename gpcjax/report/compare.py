@@ -18,12 +18,12 @@ from gpcjax.report.compare_match import Folder, Match, Pair, checked_by, match, 
 from gpcjax.report.compare_notes import differing
 from gpcjax.report.compare_numbers import Difference, Profile, differences, profiles
 from gpcjax.report.figures import compare_figure, style
+from gpcjax.report.files import write_files
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
-from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.plan import hash_of
-from gpcjax.sweep.runfolder import make_writable
 from gpcjax.sweep.source import Source
 
 RUNS = Path("runs")
@@ -140,22 +140,17 @@ class Comparison:
             UserError: something cannot be written there.
         """
         folder = checked_path("out", out)
-        make_writable(folder)
-        drawing = compare_figure.drawn(self)
-        page = compare_page.document(self, [style.pictured(drawing)])
-        files: dict[str, str | bytes] = {
-            "comparison.csv": self.differences_table.to_csv(index=False),
-            "profiles.csv": self.profiles_table.to_csv(index=False),
-            "alone.csv": self.alone_table.to_csv(index=False),
-            **{f"comparison.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")},
-            "comparison.html": html.render(page),
-        }
-        for name, written in files.items():
-            try:
-                write_atomic(folder / name, written)
-            except OSError as error:
-                raise UserError(f"{folder / name}: cannot be written ({error.strerror}), {_MEND}") from None
-        return tuple(folder / name for name in files)
+        with begun(folder, ()):
+            drawing = compare_figure.drawn(self)
+            page = compare_page.document(self, [style.pictured(drawing)])
+            files: dict[str, str | bytes] = {
+                "comparison.csv": self.differences_table.to_csv(index=False),
+                "profiles.csv": self.profiles_table.to_csv(index=False),
+                "alone.csv": self.alone_table.to_csv(index=False),
+                **{f"comparison.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")},
+                "comparison.html": html.render(page),
+            }
+            return write_files(folder, files, _MEND)
 
 
 def compare(*folders: Any, by: str | Sequence[str] | None = None) -> Comparison:

@@ -13,8 +13,9 @@ from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
 from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
-from gpcjax.sweep import points, reading
+from gpcjax.sweep import points
 from gpcjax.sweep.boxes import usual
+from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.requested import chosen_of
@@ -138,10 +139,11 @@ def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | 
         UserError: it is no run folder, holds no episodes yet, or none that is whole.
     """
     check_report(path)
-    rows = reading.read(path, say)
-    if spec is not None:
-        rows = chosen_of(rows, spec)
-    manifest = rows.manifest
+    episodes, manifest = read_counted(path, say)
+    if spec is not None and episodes is not None:
+        episodes, manifest = chosen_of(episodes, manifest, spec)
+    if episodes is None or not len(episodes.seeds):
+        raise UserError(f"{path}: it holds no episodes of its sweep, let it run further")
     specification = {**manifest["specification"]}
     for each, meant in _LATER.items():
         specification.setdefault(each, meant)
@@ -157,7 +159,7 @@ def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | 
         for each, value in {**specification, **given}.items()
     }
     machines = (manifest["machine"], *manifest.get("further_machines", ()))
-    study = gather(rows.episodes, manifest)
+    study = gather(episodes, manifest)
     return Folder(name, path, study, values, lengths, manifest["hash"], manifest["versions"], machines)
 
 

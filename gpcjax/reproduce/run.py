@@ -11,6 +11,7 @@ from gpcjax.report import html, markdown
 from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import style
 from gpcjax.report.figures.style import Drawing
+from gpcjax.report.files import write_files
 from gpcjax.report.tables import result_sheets
 from gpcjax.reproduce import figures, page, records, sketched_errors, sketched_planes, sketches
 from gpcjax.reproduce.claims import claims
@@ -18,9 +19,9 @@ from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
-from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.estimate import seconds_left
-from gpcjax.sweep.executors import run_alone
+from gpcjax.sweep.executors import Processes, run_alone
 from gpcjax.sweep.given import Given
 from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.plan import count, plan, program_of
@@ -31,6 +32,7 @@ from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 from gpcjax.sweep.works import works_of
 
 ILLUSTRATIONS = "illustrations.npz"
+_MEND = "make room and give the right to write"
 
 
 def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: int) -> Path:
@@ -54,18 +56,19 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
     make_writable(out)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     place = 0
-    for part in only:
-        console.print(PARTS[part].title, style="bold")
-        if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
-            console.print("illustrations: computed once, about a minute")
-            run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
-        for name in PARTS[part].experiments:
-            spec = _spec(sweeps / f"{name}.toml", out, quick)
-            check_sweep(out / name, spec, grows=False)
-            make_writable(out / name)
-            place += 1
-            console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
-            run(spec, out / name, jobs, grows=False)
+    with Processes(jobs) as executor:  # they import once, and keep what they have compiled
+        for part in only:
+            console.print(PARTS[part].title, style="bold")
+            if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
+                console.print("illustrations: computed once, about a minute")
+                run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
+            for name in PARTS[part].experiments:
+                spec = _spec(sweeps / f"{name}.toml", out, quick)
+                check_sweep(out / name, spec, grows=False)
+                place += 1
+                console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
+                with begun(out / name):
+                    run(spec, out / name, jobs, executor, grows=False)
     report, tested = _drawn(out, quick)
     console.print(counted([claim for each in tested.values() for claim in each]))
     return report
@@ -84,17 +87,19 @@ def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
     for (part, name), drawing in drawn.items():
         pictures.setdefault(part, []).append(style.pictured(drawing, f"figures/{name}.png"))
         make_writable(out / "figures")
-        for kind in ("png", "pdf"):
-            write_atomic(out / "figures" / f"{name}.{kind}", style.image(drawing.figure, kind))
+        images = {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
+        write_files(out / "figures", images, _MEND)
     stored = {name: results[name] for part in PARTS.values() for name in part.experiments if name in results}
     commands = ["make reproduce" + (" QUICK=1" if quick else "")]
     whole = page.page(tested, pictures, _sheets(results), stored, commands, quick)
     brief = page.page(tested, pictures, {}, stored, commands, quick, brief=True)
-    write_atomic(out / "claims.csv", page.csv_of(tested))
-    write_atomic(out / "claims.md", markdown.table(page.claims_table(tested)))
-    write_atomic(out / "report.md", markdown.render(brief))
-    report = out / "report.html"
-    write_atomic(report, html.render(whole))
+    files = {
+        "claims.csv": page.csv_of(tested),
+        "claims.md": markdown.table(page.claims_table(tested)),
+        "report.md": markdown.render(brief),
+        "report.html": html.render(whole),
+    }
+    *_, report = write_files(out, files, _MEND)
     return report, tested
 
 

@@ -5,7 +5,7 @@ import re
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _TEMPORARY = re.compile(r"\.gpcjax-(?P<pid>[0-9]{1,10})-[0-9a-f]{12}\.(?P<target>.+)\.tmp")
@@ -32,17 +32,23 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _flush(path.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # what went wrong before says more
+            temporary.unlink(missing_ok=True)
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
     """Write `data` (text as UTF-8, as it is) to `path`, which holds either its old content or all of the new one.
 
     Raises:
-        OSError: the folder is missing or cannot be written.
+        OSError: the folder is missing or cannot be written; it names `path`.
     """
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+    try:
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+    except OSError as error:
+        # Python names none where a disk is full, and else the temporary file, which nobody knows.
+        error.filename, error.filename2 = os.fspath(path), None
+        raise
 
 
 def target_of(name: str) -> str | None:

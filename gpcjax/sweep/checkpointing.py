@@ -62,15 +62,22 @@ class Checkpointer:
         if self._folder is None or not self._seconds or time.monotonic() - self._since < wait:
             return
         began = time.monotonic()
+        try:
+            self._save(self._folder, pool, kept)
+        finally:  # where nothing can be written, too: it is tried again when it is time again
+            self._since = time.monotonic()
+            self._took = self._since - began
+
+    def _save(self, folder: Path, pool: Pool, kept: Kept) -> None:
+        if not folder.parent.is_dir():  # to make it anew would hide from the sweep that its rows are gone
+            raise UserError(f"{folder.parent}: the folder was removed or moved while it was in use")
         snapshots = pool.snapshot()
         if snapshots:
             card, arrays = _packed(snapshots, kept)
-            path = self._folder / f"{time.time_ns()}-{os.getpid()}-{next(_numbers)}"
+            path = folder / f"{time.time_ns()}-{os.getpid()}-{next(_numbers)}"
             write_folder(path, {"kind": KIND, **self._agree, **card}, arrays)
             self._forget()
             self._written = path
-        self._since = time.monotonic()
-        self._took = self._since - began
 
     def close(self) -> str | None:
         """The name of the last checkpoint, which helps nobody once all rows of the pool are stored; None without one.
@@ -91,16 +98,16 @@ class Saved:
 
     Args:
         folder: `OUT/checkpoints`.
-        places: where each run is.
         say: takes a line for the person.
     """
 
-    def __init__(self, folder: Path | None, places: Mapping[Cell, Place], say: Callable[[str], None]):
-        self._folder, self._places, self._say = folder, dict(places), say
+    def __init__(self, folder: Path | None, say: Callable[[str], None]):
+        self._folder, self._say = folder, say
+        self._places: dict[Cell, Place] = {}
         self._read: dict[str, tuple[list[Snapshot], list[list[KeptRow]]]] = {}
 
     def add(self, places: Mapping[Cell, Place]) -> None:
-        """Others are saved, too: of a worker that is gone."""
+        """Where some of them are."""
         self._places |= places
 
     def go_on(self, cell: Cell, pool: Pool) -> tuple[Resumed, list[KeptRow]] | None:

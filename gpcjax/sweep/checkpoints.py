@@ -4,14 +4,14 @@
 
 A worker writes such a folder every now and then, with all runs that it has at that moment, and then removes the one
 before; the last one of a program goes when all its rows are stored. Its card lists their cells, and how far each of
-them is. Nothing in it is part of what a sweep found: whatever is not whole, or of other versions or another kind of
-machine, costs the time that it would have saved.
+them is. Nothing in it is part of what a sweep found: whatever is not whole, or of other versions, costs the time that
+it would have saved. Only machines of the kind that wrote it go on with it: on others the bits would be neither of the
+two.
 """
 
 import base64
 import contextlib
 import dataclasses
-import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
 from gpcjax.sweep.keeping import Keeping
-from gpcjax.sweep.layout import CHECKPOINTS, Say
+from gpcjax.sweep.layout import CHECKPOINTS, Say, is_checkpoint, is_unfinished_checkpoint
 from gpcjax.sweep.packing import compressed, expanded
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
@@ -29,10 +29,6 @@ from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.source import Source
 
 KIND = "checkpoint"
-
-_NAME = re.compile(r"\d{10,}-\d+-\d+")
-_UNFINISHED = re.compile(r"\.\d{10,}-\d+-\d+-.*")
-"""What is being written; of a process that was killed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +39,11 @@ class Place:
     index: int
 
 
-def is_checkpoint(name: str) -> bool:
-    """Whether a folder of this name is a whole checkpoint of ours, as far as a name can tell."""
-    return _NAME.fullmatch(name) is not None
+Places = dict[str, dict[Cell, Place]]
+"""Where runs are saved, by the kind of machine that has saved them and alone can go on with them."""
 
+HERE = ""
+"""This kind of machine: the desk's."""
 
 SNAPSHOTS = 2
 """The format of what is in a checkpoint, `gpcjax.engine.snapshots.FORMAT`: those of another one go without a word."""
@@ -91,12 +88,11 @@ def runs_of(card: Mapping[str, Any]) -> list[tuple[Cell, int]]:
     return [(cell_of(each["cell"]), int(each["steps"])) for each in told]
 
 
-def survey(
-    out: Path, is_missing: Callable[[Cell], bool], agree: Mapping[str, Any], say: Say
-) -> dict[Cell, Place]:
+def survey(out: Path, is_missing: Callable[[Cell], bool], agree: Mapping[str, Any], say: Say) -> Places:
     """Where runs that are missing can go on: of several places, where they are most advanced.
 
-    What helps none of them is removed, what is damaged is set aside with a line; a folder that is none of ours stays.
+    What helps none of them is removed, what is damaged is set aside with a line; a folder that is none of ours stays,
+    and so does what another kind of machine has saved: a worker of that kind may come.
 
     Args:
         out: the run folder; the caller is the one who writes there.
@@ -104,23 +100,24 @@ def survey(
         agree: see `told`.
         say: takes a line for the person.
     """
-    found = dict[Cell, tuple[int, Place]]()
+    found = dict[tuple[str, Cell], tuple[int, Place]]()
     damaged, folders = [], []
     for name in names_in(out / CHECKPOINTS):
         path = out / CHECKPOINTS / name
-        if _UNFINISHED.fullmatch(name):
+        if is_unfinished_checkpoint(name):
             shutil.rmtree(path, ignore_errors=True)
-        if not _NAME.fullmatch(name):
+        if not is_checkpoint(name):
             continue
         try:
-            runs = _runs(path, agree)
+            machine, runs = _runs(path, agree)
         except (UserError, KeyError, TypeError, ValueError):
             damaged.append(path)
             continue
         folders.append(name)
+        kind = HERE if machine == agree.get("machine") else str(machine)
         for index, (cell, steps) in enumerate(runs):
-            if is_missing(cell) and steps > found.get(cell, (-1,))[0]:
-                found[cell] = steps, Place(name, index)
+            if is_missing(cell) and steps > found.get((kind, cell), (-1,))[0]:
+                found[kind, cell] = steps, Place(name, index)
     if damaged:
         set_aside(out, *damaged)
         runs = "1 damaged checkpoint" if len(damaged) == 1 else f"{len(damaged)} damaged checkpoints"
@@ -128,7 +125,10 @@ def survey(
     useful = {place.folder for _, place in found.values()}
     for name in set(folders) - useful:
         shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
-    return {cell: place for cell, (_, place) in found.items()}
+    places: Places = {}
+    for (kind, cell), (_, place) in found.items():
+        places.setdefault(kind, {})[cell] = place
+    return places
 
 
 def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, Place]:
@@ -145,13 +145,14 @@ def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, P
     whole = out / CHECKPOINTS / name
     parts = out / CHECKPOINTS / f".{name}-received"  # as what a writer leaves that is killed
     shutil.rmtree(parts, ignore_errors=True)
-    parts.mkdir(parents=True)
+    (out / CHECKPOINTS).mkdir(exist_ok=True)  # not the run folder, which may have been removed
+    parts.mkdir()
     try:
         write(parts)
         (parts / name).rename(whole)
     finally:
         shutil.rmtree(parts, ignore_errors=True)
-    return {cell: Place(name, index) for index, (cell, _) in enumerate(_runs(whole, {}))}
+    return {cell: Place(name, index) for index, (cell, _) in enumerate(_runs(whole, {})[1])}
 
 
 def remove(out: Path, name: str) -> None:
@@ -163,15 +164,20 @@ def remove(out: Path, name: str) -> None:
 def remove_all(out: Path) -> None:
     """The checkpoints of a sweep that has come to its end."""
     for name in names_in(out / CHECKPOINTS):
-        if _NAME.fullmatch(name) or _UNFINISHED.fullmatch(name):
+        if is_checkpoint(name) or is_unfinished_checkpoint(name):
             shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
     with contextlib.suppress(OSError):  # there is none, or somebody's own file is in it
         (out / CHECKPOINTS).rmdir()
 
 
-def _runs(path: Path, agree: Mapping[str, Any]) -> list[tuple[Cell, int]]:
-    """The cells in a checkpoint and the steps that each of them has made; none where it does not `agree`."""
+def _runs(path: Path, agree: Mapping[str, Any]) -> tuple[Any, list[tuple[Cell, int]]]:
+    """The machine of a checkpoint, its cells and the steps that each has made; no cells where it does not `agree`.
+
+    Whatever machine it is of.
+    """
     card = read_card(path, KIND)
     if card["kind"] != KIND:
         raise ValueError("no checkpoint")
-    return runs_of(card) if {name: card.get(name) for name in agree} == dict(agree) else []
+    wanted = {name: value for name, value in agree.items() if name != "machine"}
+    agrees = {name: card.get(name) for name in wanted} == wanted
+    return card.get("machine"), runs_of(card) if agrees else []

@@ -5,14 +5,14 @@ cell is told once, and a row has 22 bytes.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.chosen import Places
@@ -61,6 +61,24 @@ class Episodes:
     def places(self) -> Places:
         """What is needed to find a cell's part again, when the rows are no longer."""
         return Places(self.settings, self.seeds, self.part, self.parts)
+
+    def of_cells(self, kept: Bool[np.ndarray, "cells"]) -> "Episodes":
+        """Those of some cells alone."""
+        rows = kept[self.cell]
+        return replace(
+            self,
+            settings={
+                name: Coded(column.codes[kept], column.values) for name, column in self.settings.items()
+            },
+            seeds=self.seeds[kept],
+            totals={name: total[kept] for name, total in self.totals.items()},
+            cell=(np.cumsum(kept) - 1)[self.cell[rows]].astype(np.int32),
+            episode=self.episode[rows],
+            returns=self.returns[rows],
+            corrections=self.corrections[rows],
+            status=Coded(self.status.codes[rows], self.status.values),
+            part=None if self.part is None else self.part[kept],
+        )
 
     @staticmethod
     def of(frame: pd.DataFrame, varying: Iterable[str]) -> "Episodes":
@@ -177,17 +195,6 @@ def _joined(
     _, once = np.unique(
         joint([_dense(seeds), *(column.codes for column in settings.values())]), return_index=True
     )
-    repeated = 0
-    if len(once) < len(seeds):
-        kept = np.zeros(len(seeds), bool)
-        kept[once] = True
-        repeated = int(np.sum(~kept & ~np.asarray(again)[part]))
-        rows = kept[cell]
-        cell = (np.cumsum(kept) - 1)[cell[rows]]
-        columns = {name: column[rows] for name, column in columns.items()}
-        status, seeds, part = status[rows], seeds[kept], part[kept]
-        settings = {name: Coded(column.codes[kept], column.values) for name, column in settings.items()}
-        totals = {name: total[kept] for name, total in totals.items()}
     made = Episodes(
         env=env,
         settings=settings,
@@ -199,7 +206,11 @@ def _joined(
         parts=tuple(names),
         **columns,
     )
-    return made, repeated
+    if len(once) == len(seeds):
+        return made, 0
+    kept = np.zeros(len(seeds), bool)
+    kept[once] = True
+    return made.of_cells(kept), int(np.sum(~kept & ~np.asarray(again)[part]))
 
 
 def _coded(frame: pd.DataFrame, name: str) -> Coded:

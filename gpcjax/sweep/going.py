@@ -7,14 +7,14 @@ from typing import Any
 
 from gpcjax.envs.registry import NOBODY
 from gpcjax.sweep import experience, stopping
-from gpcjax.sweep.begun import ACCUMULATED
 from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import remove, remove_all
+from gpcjax.sweep.checkpoints import Places, remove, remove_all
 from gpcjax.sweep.environment import cache_folder
 from gpcjax.sweep.executors import Desk, Executor, Orders, Totals
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.notebook import usual_watcher
+from gpcjax.sweep.opening import ACCUMULATED
 from gpcjax.sweep.origin import forget_idle_machines, note_machine
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import CellRows
@@ -38,6 +38,7 @@ class Going:
         missing: the cells that are to run.
         executor: runs the workers.
         orders: what these do beside.
+        places: where runs can go on.
         watcher: shows how far it is; None for the usual one.
     """
 
@@ -50,6 +51,7 @@ class Going:
         missing: list[Cell],
         executor: Executor,
         orders: Orders,
+        places: Places,
         watcher: Callable[..., Watcher] | None,
     ):
         self._spec, self._out, self._manifest = spec, out, manifest
@@ -73,6 +75,7 @@ class Going:
             starts=experience.start_of(cache_folder()),
             on_machine=lambda described: note_machine(out, manifest, described),
             on_over=self._forget_checkpoint,
+            places=places,
         )
         works = tuple(self._desk.works.values())
         self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)

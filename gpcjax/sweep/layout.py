@@ -54,6 +54,8 @@ GIVE_NEW = "give a new folder, or the one of the same sweep (--out)"
 _PART = re.compile(r"part-(?P<number>\d{5,})-(?P<hash>[0-9a-f]{12})-(?P<digest>[0-9a-f]{32})\.parquet")
 _UNSEALED_PART = re.compile(r"part-(?P<number>\d{5,})-[0-9a-f]{12}\.parquet")
 
+_CHECKPOINT = r"\d{10,}-\d+-\d+"
+
 
 class PartName(NamedTuple):
     """What the name of a part says; `hash` and `digest` are empty in format 2."""
@@ -61,6 +63,16 @@ class PartName(NamedTuple):
     number: int
     hash: str
     digest: str
+
+
+def is_checkpoint(name: str) -> bool:
+    """Whether a folder of this name is a whole checkpoint of ours, as far as a name can tell."""
+    return re.fullmatch(_CHECKPOINT, name) is not None
+
+
+def is_unfinished_checkpoint(name: str) -> bool:
+    """The same of one that is being written, or that a process has left which was killed."""
+    return re.fullmatch(rf"\.{_CHECKPOINT}-.*", name) is not None
 
 
 def tell(line: str) -> None:

@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gpcjax.errors import UserError
@@ -109,8 +109,9 @@ def _locked(path: Path) -> int | None:
                 return None
             if _is(path, descriptor):
                 text = {"host": socket.gethostname(), "pid": os.getpid(), "since": _now()}
-                os.ftruncate(descriptor, 0)
-                os.pwrite(descriptor, json.dumps(text).encode() + b"\n", 0)
+                with suppress(OSError):  # a full disk: the lock is the same
+                    os.ftruncate(descriptor, 0)
+                    os.pwrite(descriptor, json.dumps(text).encode() + b"\n", 0)
                 return descriptor
         except BaseException:
             os.close(descriptor)

@@ -16,9 +16,6 @@ FADES = 0.9
 SLOWER = 2.5
 """How much longer an episode takes in a tier that has not run yet than in the one before: a guess, until it has."""
 
-GROWS = 0.3
-"""Part of what runs have to do in a tier that they do in the next one, where others went before."""
-
 
 class Left(NamedTuple):
     """Seconds of one worker."""
@@ -37,8 +34,22 @@ class _Tier(NamedTuple):
     episodes: int
     recent_lane_seconds: float
     recent_episodes: float
-    now: tuple[Pace, ...]
-    """Of the workers that are at it."""
+    share: float
+    """Part of the lanes that outgrow it."""
+    then_left: float
+    """Episodes that these have to do then."""
+
+
+class _Stay(NamedTuple):
+    """What the lanes of one worker will do in a tier, or from there on."""
+
+    runs: float
+    episodes: float
+    longest: float
+    """Most episodes of one of them."""
+
+
+_NONE = _Stay(0.0, 0.0, 0.0)
 
 
 class Paces:
@@ -66,14 +77,7 @@ class Paces:
         """Notes that this worker is no longer at it."""
         paces = self._now.pop(worker, ())
         self._past = tuple(
-            Pace(
-                (one or other).lanes,
-                one.seconds + other.seconds,
-                one.lane_seconds + other.lane_seconds,
-                one.episodes + other.episodes,
-            )
-            for one, other in itertools.zip_longest(self._past, paces, fillvalue=Pace(0))
-            if one.lanes or other.lanes
+            one.plus(other) for one, other in itertools.zip_longest(self._past, paces, fillvalue=Pace(0))
         )
 
     @property
@@ -88,9 +92,14 @@ class Paces:
 
     @property
     def waiting(self) -> int:
-        """Tiers in which runs wait that have not been compiled."""
+        """Tiers that no worker has compiled and that runs wait for, or are on their way to."""
+        tiers = self._tiers()
         return max(
-            (sum(pace.left > 0 and not pace.seconds for pace in paces) for paces in self._all()), default=0
+            (
+                sum(stay.runs >= 0.5 and not pace.seconds for stay, pace in zip(stays, paces, strict=False))
+                for stays, paces in zip(self._stays(tiers), self._now.values(), strict=True)
+            ),
+            default=0,
         )
 
     def left(self, begun: int, free: int) -> Left | None:
@@ -103,41 +112,65 @@ class Paces:
         tiers = self._tiers()
         if not begun or not any(tier.episodes for tier in tiers):
             return None
-        bound, lane_seconds, one = 0.0, 0.0, 0.0
-        for number, (tier, each) in enumerate(zip(tiers, _by_episode(tiers), strict=True)):
-            left = sum(pace.left for pace in tier.now)
-            mean = (tier.lane_seconds + left * each) / begun
-            one += mean
-            lane_seconds += free * mean / max(tier.lanes, 1)
-            for pace in tier.now:
-                filled = pace.left / pace.lanes
+        each, episodes, bound = _by_episode(tiers), [0.0] * len(tiers), 0.0
+        for stays in self._stays(tiers):
+            for number, (tier, stay) in enumerate(zip(tiers, stays, strict=True)):
+                episodes[number] += stay.episodes
+                filled = stay.episodes / max(tier.lanes, 1)
                 # Where runs are still to come, those that have begun make room for them one by one.
-                bound += each * (filled if free and not number else max(filled, pace.longest))
+                bound += each[number] * (filled if free and not number else max(filled, stay.longest))
+        means = [
+            (tier.lane_seconds + here * seconds) / begun
+            for tier, here, seconds in zip(tiers, episodes, each, strict=True)
+        ]
+        lane_seconds = sum(free * mean / max(tier.lanes, 1) for mean, tier in zip(means, tiers, strict=True))
         # The last run to begin takes its time, and has the block to itself in the end.
-        return Left(bound, lane_seconds + (one / 2 if free else 0.0))
+        return Left(bound, lane_seconds + (sum(means) / 2 if free else 0.0))
 
     def _all(self) -> Iterable[tuple[Pace, ...]]:
         return [*([self._past] if self._past else []), *self._now.values()]
 
+    def _stays(self, tiers: Sequence[_Tier]) -> Iterable[list[_Stay]]:
+        """For each worker that is at it, what its lanes will do in each of the tiers."""
+        for paces in self._now.values():
+            stays, coming, filled = [], _NONE, itertools.chain(paces, itertools.repeat(Pace(0)))
+            for tier, pace in zip(tiers, filled, strict=False):
+                stay, coming = _through(tier, pace, coming, last=tier is tiers[-1])
+                stays.append(stay)
+            yield stays
+
     def _tiers(self) -> list[_Tier]:
         found: list[_Tier] = []
-        columns = itertools.zip_longest(*self._all(), fillvalue=Pace(0))
-        now = list(itertools.zip_longest(*self._now.values(), fillvalue=Pace(0)))
-        for number, column in enumerate(columns):
+        for number, column in enumerate(itertools.zip_longest(*self._all(), fillvalue=Pace(0))):
+            outgrown, settled = sum(pace.outgrown for pace in column), sum(pace.settled for pace in column)
+            gone = outgrown + sum(pace.ended for pace in column) + settled
             found.append(
                 _Tier(
                     max(pace.lanes for pace in column),
                     sum(pace.lane_seconds for pace in column),
                     sum(pace.episodes for pace in column),
                     *self._recent.get(number, (0.0, 0.0)),
-                    tuple(pace for pace in (now[number] if number < len(now) else ()) if pace.left),
+                    outgrown / max(gone, 1),
+                    sum(pace.then_left for pace in column) / max(outgrown, 1),
                 )
             )
         return found
 
 
+def _through(tier: _Tier, pace: Pace, coming: _Stay, last: bool) -> tuple[_Stay, _Stay]:
+    """What lanes that are in a tier, and those `coming` from the one before, will do there and beyond."""
+    runs, episodes = pace.runs + coming.runs, pace.left + coming.episodes
+    longest = max(pace.longest, coming.longest)
+    if last or not runs:
+        return _Stay(runs, episodes, longest), _NONE
+    goes_on = tier.share * (pace.runs - pace.settled + coming.runs)
+    then = goes_on * min(tier.then_left, episodes / runs)
+    then_longest = min(tier.then_left, longest) if goes_on >= 0.5 else 0.0
+    return _Stay(runs, episodes - then, longest - then_longest), _Stay(goes_on, then, then_longest)
+
+
 def _by_episode(tiers: Sequence[_Tier]) -> list[float]:
-    """Seconds that an episode of a lane in each tier takes, of which some will be in the next one."""
+    """Seconds that an episode of a lane takes in each tier."""
     here: list[float] = []
     for tier in tiers:
         if tier.recent_episodes >= 1.0:
@@ -146,8 +179,4 @@ def _by_episode(tiers: Sequence[_Tier]) -> list[float]:
             here.append(tier.lane_seconds / tier.episodes)
         else:
             here.append(SLOWER * here[-1] if here else 0.0)
-    used = [bool(tier.episodes or tier.now) for tier in tiers]
-    return [
-        (1 - GROWS) * each + GROWS * later if goes_on else each
-        for each, later, goes_on in zip(here, [*here[1:], 0.0], [*used[1:], False], strict=True)
-    ]
+    return here

@@ -9,7 +9,7 @@ from gpcjax.allowed import checked, checked_path
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine
 from gpcjax.sweep.beforehand import check, check_folder
-from gpcjax.sweep.begun import asked, begin
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.executors import Executor, Orders, Processes, executor_of
 from gpcjax.sweep.fitting import left_out
@@ -19,10 +19,10 @@ from gpcjax.sweep.keepable import refuse_other
 from gpcjax.sweep.keeping import ENTRY, Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS, MANIFEST, tell
 from gpcjax.sweep.lock import held
+from gpcjax.sweep.opening import asked, begin
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.origin import note_machine, refuse_other_versions
 from gpcjax.sweep.plan import Cell, default_out, plan
-from gpcjax.sweep.runfolder import make_writable
 from gpcjax.sweep.shards import Shard, shard_of, share_of
 from gpcjax.sweep.spec import SweepSpec, from_dict, spec_of
 from gpcjax.sweep.store import Store
@@ -75,10 +75,10 @@ def sweep(
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     folder = folder if share is None else share.folder(folder)
     check(folder, spec, keeping, share)
-    make_writable(folder)
     for line in left_out(spec.env) if "algo" not in settings else ():
         tell(line)
-    run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
+    with begun(folder):
+        run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
 
 
@@ -115,13 +115,13 @@ def run(
     """
     with held(out):
         check_folder(out, spec, keeping, shard, grows)  # again: somebody may have been faster
-        begun = (out / MANIFEST).exists()
+        is_new = not (out / MANIFEST).exists()
         manifest, request = asked(begin(spec, out, keeping, shard), spec, out, shard, say)
         cells = plan(spec)
         if shard is not None:
             share = share_of(manifest, shard)
             manifest |= {"shard": shard.as_json(), "cells": len(share)}
-            cells = _of_share(share, [spec] if begun else _requested(manifest))
+            cells = _of_share(share, _requested(manifest) if is_new else [spec])
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -140,9 +140,10 @@ def run(
                 seconds=checkpoint,
                 agree=agree,
                 varying=tuple(manifest["varying"]),
-                places=survey(out, lambda cell: not store.holds(cell), agree, tell),
             )
-            sweep = Going(spec, out, manifest, store, missing, executor or Processes(jobs), orders, watcher)
+            places = survey(out, lambda cell: not store.holds(cell), agree, tell)
+            executor = executor or Processes(jobs)
+            sweep = Going(spec, out, manifest, store, missing, executor, orders, places, watcher)
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True

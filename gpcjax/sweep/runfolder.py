@@ -12,12 +12,15 @@ from gpcjax.sweep import growth
 from gpcjax.sweep.atomic import clean, target_of
 from gpcjax.sweep.layout import (
     BESIDE,
+    CHECKPOINTS,
     DAMAGED,
     EPISODES,
     GIVE,
     GIVE_NEW,
     MANIFEST,
     SHARDS,
+    is_checkpoint,
+    is_unfinished_checkpoint,
     parse_part,
     reason,
 )
@@ -92,6 +95,8 @@ def _check_empty(out: Path, names: Iterable[str], copied: Container[str]) -> Non
     for name in sorted(names):
         if name in (LOCK, SHARDS) or target_of(name) == MANIFEST:
             continue
+        if name == CHECKPOINTS and _holds_checkpoints(out / name):
+            continue  # of runs that nobody can go on with but the same sweep
         parts = name in (EPISODES, *BESIDE)
         inside = sorted(path.name for path in (out / name).iterdir()) if parts else [""]
         inside = [each for each in inside if (part := parse_part(each)) is None or part.hash not in copied]
@@ -100,6 +105,12 @@ def _check_empty(out: Path, names: Iterable[str], copied: Container[str]) -> Non
         for each in inside:
             if parse_part(target_of(each) or "") is None:
                 raise UserError(f"{out}: it holds {str(Path(name, each))!r} and no run, {GIVE_NEW}")
+
+
+def _holds_checkpoints(folder: Path) -> bool:
+    """And nothing else."""
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else [""]
+    return all(is_checkpoint(name) or is_unfinished_checkpoint(name) for name in names)
 
 
 def own_parts(out: Path, hash_: str) -> list[str]:

@@ -35,8 +35,10 @@ class Runs:
         self._pool, self._keeping, self._say = pool, orders.keeping, say
         self._cells: deque[Cell] = deque()
         folder = None if orders.checkpoints is None else Path(orders.checkpoints)
-        self._saved = Saved(folder, orders.places, self._note)
+        self._saved = Saved(folder, self._note)
         self._checkpointer = Checkpointer(folder, orders.seconds, orders.agree)
+        self._told = False
+        """Whether the person knows that runs cannot be saved."""
         self._kept: dict[Cell, list[KeptRow]] = {}
 
     def next_start(self) -> Start | Resumed | None:
@@ -80,7 +82,9 @@ class Runs:
         try:
             self._checkpointer.look(self._pool, self._kept)
         except UserError as error:
-            self._note(f"no checkpoint: {error}")
+            if not self._told:  # the reason is the same until somebody sees to it
+                self._note(f"no checkpoint: {error}")
+            self._told = True
 
     def close(self) -> None:
         """All runs have ended, and are handed in."""

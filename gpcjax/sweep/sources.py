@@ -201,18 +201,19 @@ def check_start(spec: SweepSpec, place: str = "start") -> None:
 
     Raises:
         UserError: a run finds nothing, or several things; or what it finds is of other sizes than the task, too
-            large for `max_capacity`, or of COACH on another grid.
+            large for `max_capacity`, of COACH on another grid, or of D-COACH with another network or buffer.
     """
     if spec.start is None:
         return
     contents, sizes = contents_of(Path(spec.start.folder), place), find("task", spec.env).sizes
     told, grid = f"{place} {contents.folder}", find("task", spec.env).presets.get("coach")
-    seen: set[int] = set()
+    seen: set[tuple[Any, ...]] = set()
     for cell in plan(spec):
-        state = contents.of(cell, place)
-        if id(state) in seen:
+        state, network = contents.of(cell, place), _network(cell)
+        key = (id(state), *network.values())
+        if key in seen:
             continue
-        seen.add(id(state))
+        seen.add(key)
         card = state.card
         if sizes is not None and sizes != (given := (card["obs_size"], card["action_size"])):
             raise UserError(
@@ -221,6 +222,8 @@ def check_start(spec: SweepSpec, place: str = "start") -> None:
             )
         if cell.algo == "coach" and grid is not None and (other := _other_grid(contents, state, grid, place)):
             raise UserError(f"{told}: COACH learned there on another grid ({other}) than that of {spec.env}")
+        if network and (other := _other_network(contents, state, network, place)):
+            raise UserError(f"{told}: D-COACH learned there with {other}: give the same")
         points = max(card.get("capacities", {}).values(), default=0)
         if points > spec.max_capacity and state.place is None:  # which says how many there is room for
             points = _points(contents.arrays(state, place))
@@ -305,6 +308,32 @@ def _other_grid(contents: Contents, state: State, grid: Mapping[str, Any], place
         own = grid.get(name)
         if value is not None and own is not None and not np.all(np.equal(value, own)):
             return f"{name} {', '.join(f'{each:g}' for each in np.asarray(value).ravel())}"
+    return ""
+
+
+def _network(cell: Cell) -> dict[str, Any]:
+    """What the shape of D-COACH's network and buffer follows from, and what its inputs mean; else nothing."""
+    if cell.algo != "d-coach":
+        return {}
+    task = find("task", cell.env)
+    settings = (
+        find("learner", cell.algo).defaults | task.presets.get(cell.algo, {}) | dict(cell.hyperparameters)
+    )
+    scales = None if task.obs_scale is None else tuple(1.0 / scale for scale in task.obs_scale)
+    return {name: settings[name] for name in ("width", "buffer_size")} | {"scaling": scales}
+
+
+def _other_network(contents: Contents, state: State, network: Mapping[str, Any], place: str) -> str:
+    """What of D-COACH there is another than of this network, in words; nothing if it may go on."""
+    for name, own in network.items():
+        known = (
+            contents.arrays(state, place).get("learner.scaling")
+            if name == "scaling"
+            else state.card.get(name)
+        )
+        if known is not None and own is not None and not np.array_equal(known, own):
+            given, here = (", ".join(f"{each:g}" for each in np.ravel(value)) for value in (known, own))
+            return f"{name} {given}, here it is {here}"
     return ""
 
 

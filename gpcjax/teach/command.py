@@ -26,9 +26,9 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     """
     from gpcjax.policies.folder import CARD
     from gpcjax.teach.course import COURSE, Course
-    from gpcjax.teach.lesson import Options
     from gpcjax.teach.origin import Origin, of_run
     from gpcjax.teach.run import teach
+    from gpcjax.teach.standing import Options
 
     own = own_values(
         arguments,

@@ -11,9 +11,9 @@ import numpy as np
 
 from gpcjax.learners.base import Status
 from gpcjax.sweep import machine
-from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, parse_part
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import varying
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.store import Store

@@ -7,8 +7,9 @@ from pathlib import Path
 from gpcjax.errors import UserError
 from gpcjax.sweep.environment import compute_here
 from gpcjax.teach.course import COURSE, Course, new_folder
-from gpcjax.teach.lesson import Lesson, Options, Say
+from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.origin import Origin
+from gpcjax.teach.standing import Options, Say
 
 EXTRA = "gpcjax teach needs its extra: pip install 'gpcjax[teach]' ({})"
 

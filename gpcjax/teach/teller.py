@@ -17,8 +17,8 @@ from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import SAVES
 from gpcjax.teach.errands import Errands
 from gpcjax.teach.evaluation import Evaluation
-from gpcjax.teach.lesson import Options, Say, Standing
 from gpcjax.teach.protocol import NAME, Press
+from gpcjax.teach.standing import Options, Say, Standing
 from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import (
     advised_of,

@@ -11,8 +11,8 @@ import pandas as pd
 from gpcjax.errors import UserError
 from gpcjax.report.groups import gather
 from gpcjax.report.statistics import Scores, best_and_tied
+from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.points import given as points_given
-from gpcjax.sweep.reading import read
 from gpcjax.sweep.requested import chosen_of
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.tune.objectives import Objective, by_point, point_scores, run_scores
@@ -77,14 +77,16 @@ def found_in(
     Raises:
         UserError: there are no rows of it, or no point has a score.
     """
-    rows = read(folder, lambda line: None)
-    if spec is not None:
-        rows = chosen_of(rows, spec)
-    frame = rows.episodes
-    if frame.empty or algo not in set(frame["algo"]):
+    episodes, manifest = read_counted(folder, lambda line: None)
+    if spec is not None and episodes is not None:
+        episodes, manifest = chosen_of(episodes, manifest, spec)
+    if episodes is not None:
+        codes, values = episodes.settings["algo"]
+        episodes = episodes.of_cells(np.array([each == algo for each in values], bool)[codes])
+    if episodes is None or not len(episodes.seeds):
         raise UserError(f"{folder}: it holds no rows of {algo}")
-    study = gather(frame.loc[frame["algo"] == algo], rows.manifest)
-    names, fixed = list(space), _fixed(space, rows.manifest)
+    study = gather(episodes, manifest)
+    names, fixed = list(space), _fixed(space, manifest)
     keys = by_point(study, names)
     each = [run_scores(groups, study, objectives[0]) for groups in keys.values()]
     scores = [point_scores(groups, study, objectives) for groups in keys.values()]

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.given import Given
-from gpcjax.sweep.runfolder import make_writable
+from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.spec import accepted_of
 from gpcjax.tune import space
-from gpcjax.tune.command import checked
+from gpcjax.tune.command import STATE, checked
 from gpcjax.tune.flags import own_values
 
 if TYPE_CHECKING:
@@ -97,9 +98,9 @@ def tune(
     look = Given(space.of_table(search or {}, "search "), "search")
     which = {name: str(value) for name, value in (where or {}).items()}
     wishes = checked(own, look, accepted_of({**settings, "jobs": jobs}, ""), which, 1)
-    make_writable(wishes.out)
     from gpcjax.tune.carrying_out import carried_out
 
-    result = carried_out(wishes)
+    with begun(wishes.out, (MANIFEST, STATE)):
+        result = carried_out(wishes)
     outcome = result.outcome
     return Tuned(wishes.out, outcome.told["best"], outcome.points, result.check)

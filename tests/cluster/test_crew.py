@@ -10,7 +10,7 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.policies.folder import write_folder
 from gpcjax.sweep import machine
 from gpcjax.sweep.blocks import block_of
-from gpcjax.sweep.checkpoints import KIND, runs_as_json
+from gpcjax.sweep.checkpoints import KIND, runs_as_json, survey, told
 from gpcjax.sweep.checkpoints import Place as CheckpointPlace
 from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Orders, crew
@@ -19,6 +19,7 @@ from gpcjax.sweep.parcel import pack
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.versions import versions
 from tests.cluster.fakes import HERE, NEVER, FakeRay, there
 from tests.sweep import pretended
 
@@ -80,7 +81,7 @@ class Gone(Good):
         raise RuntimeError("The actor died\nbecause its node has died")
 
 
-def served(hire, jobs=1, orders=NONE, cells=CELLS):
+def served(hire, jobs=1, orders=NONE, cells=CELLS, **options):
     """Serves a desk with these actors; gives rows, notes, machines and the fake."""
     got, notes, machines = [], [], []
     fake = FakeRay(hire)
@@ -94,6 +95,7 @@ def served(hire, jobs=1, orders=NONE, cells=CELLS):
         notes.append,
         orders,
         on_machine=machines.append,
+        **options,
     )
     workers = crew.Crew(fake, desk)
     workers.serve()
@@ -188,6 +190,7 @@ class TestCheckpoints:
 
     @pytest.fixture
     def orders(self, tmp_path):
+        (tmp_path / "out").mkdir()
         return Orders(checkpoints=str(tmp_path / "out" / "checkpoints"), seconds=15.0)
 
     @pytest.mark.parametrize("changes", [{}, {"machine": OTHER}])
@@ -222,13 +225,35 @@ class TestCheckpoints:
         )  # the name is not that of what is in it
         assert [path.name for path in (tmp_path / "out" / "checkpoints").iterdir()] == [name]
 
+    @pytest.mark.parametrize("mine", [True, False], ids=["of its kind", "of another kind"])
+    def test_of_a_driver_that_was_on_another_kind_of_machine(self, orders, mine, tmp_path):
+        """What its workers had saved waits for workers of their kind, whatever kind the new driver is of."""
+        name, kind = "1795715941520164536-10949-0", kind_of(OTHER)
+        folder = tmp_path / "out" / "checkpoints" / name
+        agree = told(versions(), kind, None)
+        runs = runs_as_json((cell, 5) for cell in CELLS)
+        write_folder(folder, {"kind": KIND, **agree, "runs": runs, "lanes": []}, {"some": np.arange(3.0)})
+        here = told(versions(), kind_of(HERE.machine), None)
+        places = survey(tmp_path / "out", lambda cell: True, here, print)
+        assert folder.is_dir() and list(places) == [kind]
+        got, _, _, fake = served(
+            lambda number: Good(there(machine=OTHER) if mine else HERE), orders=orders, places=places
+        )
+        sent = [each for each in fake.actors[0].got if each[0] and each[0][0] == "cells" and each[0][1]]
+        given = {cell: place.folder for (_, _, *more), _ in sent for cell, place in (more or [{}])[0].items()}
+        assert given == (dict.fromkeys(CELLS, name) if mine else {})
+        assert {each for _, archives in sent for each in archives} == ({name} if mine else set())
+        assert len(got) == 4 and folder.is_dir()
+        # It goes when nobody needs it any more.
+        assert not survey(tmp_path / "out", lambda cell: False, here, print) and not folder.exists()
+
     def test_where_many_save_each_does_it_less_often(self, orders):
         desk = Desk(CELLS, [], 4, lambda _: None, lambda *_: None, lambda _: None, orders=orders)
         desk.workers = 1000
         workers = crew.Crew(FakeRay(lambda number: Waiting()), desk)
-        member = crew.Member(0, None, HERE, kind_of(HERE.machine))
+        member = crew.Member(0, None, HERE)
         answer, _ = pickle.loads(workers._packed(member, ("program", CELLS[0], orders)))
-        assert answer[2].seconds == 250.0 and answer[2].places == {}
+        assert answer[2].seconds == 250.0
         never = dataclasses.replace(orders, seconds=0.0)
         answer, _ = pickle.loads(workers._packed(member, ("program", CELLS[0], never)))
         assert answer[2].seconds == 0.0

@@ -9,9 +9,9 @@ from gpcjax.report.content import document
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
-from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.listing import contents, look
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.origin import forget_idle_machines
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import plan

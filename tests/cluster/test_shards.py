@@ -11,11 +11,11 @@ import pytest
 from gpcjax.errors import UserError
 from gpcjax.sweep import machine, merging, weights
 from gpcjax.sweep.atomic import write_atomic
-from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.growth import grown
 from gpcjax.sweep.keeping import ENTRY, as_json, keeping_of
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.merging import merge
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import plan, program_of, specification_hash, varying
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rows import CellRows

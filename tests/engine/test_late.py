@@ -357,8 +357,8 @@ class ForOneLane(Teacher):
 def test_a_teacher_of_ones_own_sees_one_lane():
     """Alone and among others it says the same, and learners learn the same of it."""
     each = [begun(seed, learner("coach"), ForOneLane(jnp.asarray(0.5)), seed) for seed in range(5)]
-    among = run(make_pool(RECORDED["compiled"], each[0], (WIDE,), 2), each)
-    alone = run(make_pool(RECORDED["compiled"], each[0], (WIDE,), 2), each[:1])
+    pool = make_pool(RECORDED["compiled"], each[0], (WIDE,), 2)
+    among, alone = run(pool, each), run(pool, each[:1])
     for got, expected in zip(*(jax.tree.leaves(kept(lanes[0])) for lanes in (among, alone)), strict=True):
         np.testing.assert_array_equal(got, expected)
     lane = alone[0]

@@ -80,7 +80,7 @@ class Bits:
         for each in starts(self.algo):
             assert_the_same_runs(run(pool, [each]), together)
 
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
     def test_in_another_order_and_place(self, pool, together, seed):
         """With copies of other runs before it, so that every run is met at several places."""
         shuffled = starts(self.algo) + [

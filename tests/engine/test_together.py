@@ -6,10 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from gpcjax.engine.pool import Tier
 from gpcjax.learners.base import Status
 from gpcjax.sweep.build import make_pool, start_of
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import spec_of
+from tests.engine import tasks
 
 COUNTED = ("length", "corrections", "policy_points", "human_points", "full", "asked")
 
@@ -30,7 +32,15 @@ CASES = {
     "d-coach": {"env": "pendulum", "algo": "d-coach"},
     "gpc two actions": {"env": "lunarlander", "algo": "gpc", "oracle": "heuristic"},
 }
-SLOW = set(CASES) - {"gpc full"}
+TIER = Tier(4, 8, 8)
+
+
+def learned_small():
+    """Three runs of the tests' own task, both of whose actions are advised until dictionaries are full."""
+    given = tasks.learner("gpc", on_full="replace-nearest", sparsify=False)
+    starts = [tasks.start(seed, given, tasks.oracle(rate=0.6, delta=0.0), seed) for seed in range(3)]
+    lanes = tasks.run(tasks.make_pool(tasks.Drift(), starts[0], (TIER,), 1), starts)
+    return [lanes[each.name] for each in starts]
 
 
 def learned(settings):
@@ -45,13 +55,30 @@ def learned(settings):
     return [finished[cell.seed] for cell in cells]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
-)
-def test_all_at_once_is_one_by_one(name, monkeypatch):
+@pytest.fixture
+def accelerated(monkeypatch):
+    """From now on lanes are computed as on an accelerator."""
+    return lambda: monkeypatch.setattr(
+        "gpcjax.gp.batching.jax", SimpleNamespace(default_backend=lambda: "gpu")
+    )
+
+
+def test_small_ones_all_at_once_are_one_by_one(accelerated):
+    apart = learned_small()
+    assert all(lane.rows.full.sum() > 0 for lane in apart)
+    accelerated()
+    agree(learned_small(), apart)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_all_at_once_is_one_by_one(name, accelerated):
     apart = learned(CASES[name])
-    monkeypatch.setattr("gpcjax.gp.batching.jax", SimpleNamespace(default_backend=lambda: "gpu"))
-    together = learned(CASES[name])
+    accelerated()
+    agree(learned(CASES[name]), apart)
+
+
+def agree(together, apart):
     for one, other in zip(apart, together, strict=True):
         assert one.status == other.status == Status.OK
         assert one.rows.corrections.sum() > 3

@@ -211,7 +211,7 @@ def test_a_state_of_ones_own_may_change():
     assert float(learner.act(state, np.zeros(2))[0]) == 0.5
 
 
-@pytest.mark.parametrize("value", ["0", "1"])
+@pytest.mark.parametrize("value", ["0", pytest.param("1", marks=pytest.mark.slow)])
 def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(value):
     """jax has the setting, and does not look for its variable."""
     code = (

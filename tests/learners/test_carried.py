@@ -32,6 +32,16 @@ def taught(learner, corrections=20):
     return state
 
 
+@jax.jit
+def _dense(process, points, query, scale):
+    return process.kernel.gram(points, scale), process.kernel.covariances(points, query, scale)
+
+
+def dense_of(*given):
+    """The Gram matrix of all places of a dictionary, and their covariances with a query."""
+    return map(np.asarray, _dense(*given))
+
+
 def on_host(learner):
     """As a sweep has it."""
     return jax.tree.map(np.asarray, learner)
@@ -75,30 +85,30 @@ def test_other_hyperparameters_and_relatives_keep_points_and_targets(algo, targe
             )
             assert_same_bits((after.points[:count], after.targets[:count]), (points, targets))
             assert after.count == count and not after.points[count:].any()
-            gram = process.kernel.gram(points, after.scale) + float(process.noise) * np.eye(count)
-            k = process.kernel.covariances(points, jnp.asarray(query), after.scale)
-            weights = np.linalg.solve(gram, np.asarray(k))
+            gram, k = dense_of(process, after.points, query, after.scale)
+            gram, k = gram[:count, :count] + float(process.noise) * np.eye(count), k[:count]
+            weights = np.linalg.solve(gram, k)
             dense[name] = weights @ targets, np.sqrt(float(process.prior) - weights @ k)
         np.testing.assert_allclose(acts[dimension], np.clip(dense["policy"][0], -1, 1), rtol=0, atol=1e-8)
         np.testing.assert_allclose(uncertain[dimension], dense["human"][1], rtol=0, atol=1e-8)
 
 
-def test_computed_anew_is_what_one_point_after_the_other_came_to():
+@pytest.mark.parametrize("on_full", ["error", pytest.param("replace-nearest", marks=pytest.mark.slow)])
+def test_computed_anew_is_what_one_point_after_the_other_came_to(on_full):
     """Of the models that do not compute it anew at each point, and in room beyond one tile."""
-    for on_full in ("error", "replace-nearest"):
-        learner = learner_of("gpc", capacity=140, on_full=on_full)
-        state = taught(learner)
-        for process, held in ((learner.policy, state.policy), (learner.human, state.human)):
-            one = jax.tree.map(lambda leaf: leaf[1], held)
-            again = jax.jit(lambda data, process=process: process.renewed(data))(one)
-            explained = []
-            for posterior in (again, one):
-                k = process.covariances(posterior, jnp.ones(posterior.points.shape[1]))
-                explained.append((process.explained(posterior, (), k), posterior.weights))
-            assert_close(*explained, atol=1e-8)
+    learner = learner_of("gpc", capacity=140, on_full=on_full)
+    state = taught(learner)
+    for process, held in ((learner.policy, state.policy), (learner.human, state.human)):
+        one = jax.tree.map(lambda leaf: leaf[1], held)
+        again = jax.jit(lambda data, process=process: process.renewed(data))(one)
+        explained = []
+        for posterior in (again, one):
+            k = process.covariances(posterior, jnp.ones(posterior.points.shape[1]))
+            explained.append((process.explained(posterior, (), k), posterior.weights))
+        assert_close(*explained, atol=1e-8)
 
 
-@pytest.mark.parametrize("algo", ["coach", "d-coach"])
+@pytest.mark.parametrize("algo", ["coach", pytest.param("d-coach", marks=pytest.mark.slow)])
 def test_weights_go_to_their_own_kind(algo):
     learner = learner_of(algo)
     state = taught(learner)

@@ -404,16 +404,13 @@ def test_growing_keeps_the_policy_and_learns_on(algo):
 def test_the_controller_is_the_policy_before_clipping(algo):
     learner = make_learner(algo, "lunarlander", capacity=16)
     state, obs = taught(learner), np.random.default_rng(3).normal(size=(6, 8))
-    controller = learner.controller(state)
-    for each in obs:
-        np.testing.assert_allclose(
-            jnp.clip(controller(jnp.asarray(each)), -1, 1), learner.act(state, each), atol=1e-14
-        )
+    controller, call = learner.controller(state), jax.jit(lambda controller, obs: controller(obs))
+    proposed = np.stack([call(controller, each) for each in obs], -1)
+    for each, action in zip(obs, proposed.T, strict=True):
+        np.testing.assert_allclose(np.clip(action, -1, 1), learner.act(state, each), atol=1e-14)
     # With lanes on the last axis, as the engine keeps them.
-    lanes = jax.tree.map(lambda leaf: jnp.asarray(np.stack([leaf] * 6, -1)), controller)
-    np.testing.assert_allclose(
-        lanes(jnp.asarray(obs.T)), np.stack([controller(jnp.asarray(o)) for o in obs], -1), atol=1e-14
-    )
+    lanes = jax.tree.map(lambda leaf: np.stack([leaf] * 6, -1), controller)
+    np.testing.assert_allclose(call(lanes, obs.T), proposed, atol=1e-14)
 
 
 @each_variant

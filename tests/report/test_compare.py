@@ -66,6 +66,14 @@ def refusal(*folders, **options):
     return str(caught.value)
 
 
+def test_folders_are_read_as_a_report_reads_them(tmp_path, monkeypatch):
+    """In arrays, part by part: frames of all columns, and the corrections, would take five times the memory."""
+    one, other = folder(tmp_path / "one"), folder(tmp_path / "other", loss=7.0)
+    monkeypatch.setattr("gpcjax.sweep.reading.read", None)
+    found = areas(gpcjax.compare(one, other))
+    assert len(found) == 2 and np.allclose(found["difference"], 7.0)
+
+
 class TestMatching:
     def test_the_same_learner_and_error_by_seed_and_the_rest_is_listed(self, tmp_path):
         one = folder(tmp_path / "one", errors=(0.0, 0.1))

@@ -11,8 +11,9 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
+from gpcjax.report import files
 from gpcjax.report import run as run_module
-from gpcjax.report.figures import curves, drawing, style
+from gpcjax.report.figures import curves, style
 from gpcjax.report.run import draw, draw_frames
 from gpcjax.sweep import runfolder
 from gpcjax.sweep.reading import read_episodes
@@ -161,7 +162,7 @@ class TestUnwritable:
         def full(path, content):
             raise OSError(number, os.strerror(number), str(path))
 
-        monkeypatch.setattr(drawing, "write_atomic", full)
+        monkeypatch.setattr(files, "write_atomic", full)
         assert self.refusal(out) == (
             f"{out / 'summary.csv'}: cannot be written ({os.strerror(number)}), "
             "make room and give the right to write, or report on a copy"

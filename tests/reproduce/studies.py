@@ -1,5 +1,6 @@
 """Experiments whose results are made of formulas: learning curves as high as a test says, rates as it says."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -19,7 +20,24 @@ SLOPES = {"gpc": -0.3, "gpc-ns": -0.3, "coach": 0.3}
 """How far log10 of the learning rate changes over all corrections."""
 
 
-def experiment(
+KEPT = 32
+"""Experiments that are made once, as long as they are the newest: tests compare many with the same others."""
+
+_made: dict[str, Experiment] = {}
+
+
+def experiment(env: str = "cartpole", levels: Mapping = LEVELS, **settings) -> Experiment:
+    """What `make` gives, in tables of its own, which a test may change."""
+    if "at" in settings:  # a function, which has no text that tells it from others
+        return make(env, levels, **settings)
+    name = repr((env, levels, settings))
+    kept = _made[name] = _made.pop(name, None) or make(env, levels, **settings)
+    while len(_made) > KEPT:
+        del _made[next(iter(_made))]
+    return dataclasses.replace(kept, episodes=kept.episodes.copy(), corrections=kept.corrections.copy())
+
+
+def make(
     env: str = "cartpole",
     levels: Mapping[str, float | Sequence[float]] = LEVELS,
     early: Mapping[str, float] | None = None,

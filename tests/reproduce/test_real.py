@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from gpcjax import cli
-from gpcjax.sweep import run as run_module
+from gpcjax.sweep.executors import processes
 from gpcjax.sweep.reading import read_episodes
 from tests.reproduce.test_run import files
 
@@ -38,7 +38,7 @@ def test_two_seeds_of_two_episodes_on_the_pendulum(tmp_path, monkeypatch):
     expected = (table["gpc"] - table["coach"]).groupby("error").mean()
     np.testing.assert_allclose(order["estimate"], expected, rtol=1e-12)
     assert (out / "figures" / "fig5_1_returns.png").stat().st_size > 10_000
-    monkeypatch.setattr(run_module, "Processes", None)
+    monkeypatch.setattr(processes, "_start", None)
     before = files(out)
     assert cli.main(words) == 0
     assert files(out) == before

@@ -16,7 +16,6 @@ from gpcjax.reproduce import records
 from gpcjax.reproduce import run as reproduce_module
 from gpcjax.reproduce.parts import PARTS, chosen
 from gpcjax.reproduce.run import reproduce
-from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Totals
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_episodes
@@ -52,6 +51,12 @@ class Pretended:
         self.jobs = jobs
         return self
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
     def run(self, desk):
         on_rows, on_baseline, on_progress = hand_out(desk)
         for _, name in desk.baselines:
@@ -80,7 +85,7 @@ def taught(cell):
 @pytest.fixture
 def pretended(monkeypatch):
     workers = Pretended()
-    monkeypatch.setattr(run_module, "Processes", workers)
+    monkeypatch.setattr(reproduce_module, "Processes", workers)
     return workers
 
 

@@ -1,5 +1,6 @@
 """The report of a study whose numbers are known."""
 
+import functools
 import json
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
+from gpcjax.report.figures import style
 from gpcjax.report.statistics import mean_interval, student_p
 from gpcjax.study.design import Treatment
 from gpcjax.study.register import Register
@@ -45,6 +47,19 @@ def everything(folder):
 def plain(monkeypatch):
     """No figures: most of the time of a report."""
     monkeypatch.setattr(report_run, "_pictures", lambda *given: [])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def in_few_pixels():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "image", functools.partial(style.image, dpi=20))
+        yield
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Figures are made, and none is painted."""
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +247,7 @@ def test_a_run_under_way_is_in_the_tables_and_damaged_rows_are_told(tmp_path, pl
     draw(out, told.append)
 
 
-def test_arms_between_participants(tmp_path):
+def test_arms_between_participants(tmp_path, unpainted):
     arms = "[[arms]]\nname = 'late'\ndelay = 0.3\n[[arms]]\nname = 'soon'\n[[learners]]"
     out, _ = study_of(tmp_path, ["one", "two", "three", "four"], "[[learners]]", arms)
     draw(out, nothing)

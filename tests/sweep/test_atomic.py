@@ -1,4 +1,7 @@
+import errno
 import os
+import re
+import resource
 
 import pytest
 
@@ -47,6 +50,23 @@ def test_two_writers_do_not_meet(tmp_path):
 def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_atomic(tmp_path / "none" / "file", "text")
+
+
+def test_an_error_names_the_file(tmp_path):
+    """Not the temporary one; and where nothing more fits, where Python names none."""
+    path = tmp_path / "file"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with pytest.raises(OSError, match=re.escape(f"'{path}'")) as caught:
+            write_atomic(path, "longer than that")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.errno == errno.EFBIG
+    path = tmp_path / "none" / "file"
+    with pytest.raises(FileNotFoundError, match=re.escape(f"'{path}'")) as caught:
+        write_atomic(path, "text")
+    assert caught.value.filename2 is None
 
 
 def test_permissions_follow_the_umask(tmp_path):

@@ -1,4 +1,4 @@
-"""What checkpoints say of runs and of what is kept of them, whatever wrote these. Loads no jax but for the writing."""
+"""Runs that are under way: what is saved of them when, what checkpoints say of them, and which can go on. No engine."""
 
 import json
 from types import SimpleNamespace
@@ -6,14 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
 from gpcjax.sweep import checkpointing, going
-from gpcjax.sweep.checkpoints import KIND, runs_as_json, runs_of, survey, told
+from gpcjax.sweep.checkpointing import Checkpointer
+from gpcjax.sweep.checkpoints import HERE, KIND, runs_as_json, runs_of, survey, told
+from gpcjax.sweep.executors import Orders
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.packing import compressed, expanded, packed
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
+from gpcjax.sweep.runs import Runs
 from gpcjax.sweep.spec import spec_of
 from tests.sweep.pretended import Pretended
 
@@ -35,7 +39,7 @@ def test_a_card_has_room_for_all_runs_of_an_accelerator(tmp_path, episodes):
     card = {"kind": KIND, **AGREE, "runs": runs_as_json((cell, 7) for cell in CELLS)}
     arrays = {"x": np.ones(1), **checkpointing._kept_arrays(kept)}
     write_folder(out / "checkpoints" / "12345678901-1-0", card, arrays)
-    places = survey(out, lambda cell: True, AGREE, str)
+    places = survey(out, lambda cell: True, AGREE, str)[HERE]
     assert list(places) == CELLS and [place.index for place in places.values()] == [*range(len(CELLS))]
     card = read_card(out / "checkpoints" / "12345678901-1-0", KIND)
     assert set(runs_of(card)) == {(cell, 7) for cell in CELLS}
@@ -102,7 +106,7 @@ def test_the_last_one_of_a_program_goes_when_its_rows_are_stored(tmp_path, monke
 
 def test_a_worker_says_so_once(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpointing, "_packed", lambda snapshots, kept: ({}, {"x": np.ones(1)}))
-    one = checkpointing.Checkpointer(tmp_path, 1e-9, AGREE)
+    one = Checkpointer(tmp_path, 1e-9, AGREE)
     assert one.close() is None
     pool = SimpleNamespace(snapshot=lambda: [1])
     for _ in range(2):
@@ -111,3 +115,43 @@ def test_a_worker_says_so_once(tmp_path, monkeypatch):
     (name,) = (path.name for path in tmp_path.iterdir())
     assert one.close() == name and one.close() is None
     assert (tmp_path / name).exists()
+
+
+class Looked:
+    """A pool without runs, that counts how often they were asked for."""
+
+    count = 0
+
+    def snapshot(self):
+        self.count += 1
+        return []
+
+
+class TestWhereNothingCanBeWritten:
+    def test_it_is_tried_again_when_it_is_time(self, tmp_path):
+        class Full(Looked):
+            def snapshot(self):
+                super().snapshot()
+                raise UserError("the disk is full")
+
+        pool, checkpointer = Full(), Checkpointer(tmp_path / "checkpoints", 100.0, {})
+        checkpointer._since -= 101
+        with pytest.raises(UserError):
+            checkpointer.look(pool, {})
+        checkpointer.look(pool, {})
+        assert pool.count == 1
+
+    def test_a_run_folder_that_was_removed_is_not_made_anew(self, tmp_path):
+        pool, out = Looked(), tmp_path / "out"
+        with pytest.raises(UserError, match=f"^{out}: the folder was removed or moved while it was in use$"):
+            Checkpointer(out / "checkpoints", 1e-9, {}).look(pool, {})
+        assert not out.exists() and not pool.count
+
+    def test_it_is_said_once(self, tmp_path):
+        said = []
+        runs = Runs(
+            Looked(), Orders(checkpoints=str(tmp_path / "out" / "checkpoints"), seconds=1e-9), said.append
+        )
+        for _ in range(3):
+            runs.save()
+        assert [word for word, _ in said] == ["note"]

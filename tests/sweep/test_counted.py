@@ -14,11 +14,13 @@ from gpcjax.sweep.counted import Episodes, read_counted
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read, read_corrections, read_episodes
+from gpcjax.sweep.requested import chosen_of
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
 from tests.report import synthetic
 from tests.sweep.folders import begun
 from tests.sweep.pretended import rows
+from tests.torture import folders
 
 FIRST = {
     "env": "cartpole",
@@ -189,3 +191,14 @@ def test_cells_whose_rows_are_scattered_are_found():
     assert len(shuffled.seeds) == 6 and np.bincount(shuffled.cell).tolist() == [4] * 6
     steps = frame.groupby(["algo", "seed"])["length"].sum()
     assert shuffled.totals["length"].tolist() == steps.tolist()
+
+
+@pytest.mark.parametrize("spec", [folders.FIRST, folders.SPEC], ids=["the first", "the later one"])
+def test_what_was_asked_for_alone_of_a_folder_that_grew(tmp_path, spec):
+    out = folders.finished(tmp_path / "out", folders.SPEC, folders.FIRST)
+    episodes, manifest = read_counted(out, lambda line: None)
+    mine, told = chosen_of(episodes, manifest, spec)
+    alone, _ = read_counted(folders.finished(tmp_path / "alone", spec), lambda line: None)
+    assert len(mine.seeds) == len(alone.seeds) == told["cells"] == len(plan(spec))
+    assert sorted(mine.returns) == sorted(alone.returns) and "asked" not in told
+    assert list(mine.settings) == list(alone.settings) and set(mine.seeds) == set(alone.seeds)

@@ -11,10 +11,10 @@ import pytest
 from gpcjax.errors import UserError
 from gpcjax.sweep import origin
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.begun import new_manifest
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.layout import GROWN
 from gpcjax.sweep.manifest import read_manifest, write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import load, read_corrections, read_episodes
 from gpcjax.sweep.run import sweep

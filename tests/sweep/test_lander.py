@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from gpcjax.sweep import worker
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
@@ -24,7 +25,9 @@ def reference(request, tmp_path_factory):
     if request.param == "both":
         return request.getfixturevalue("both")
     out = tmp_path_factory.mktemp("coach") / "out"
-    return sweep(out, executor=InProcess(), **SETTINGS | {"algo": "coach"})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker, "BASELINE_STARTS", 10)
+        return sweep(out, executor=InProcess(), **SETTINGS | {"algo": "coach"})
 
 
 def test_what_it_holds(reference):
@@ -49,7 +52,8 @@ def test_the_manifest(reference):
     assert manifest["complete"] and manifest["specification"]["max_capacity"] == 4096
     assert manifest["env_steps"] == read_episodes(reference)["length"].sum()
     idle, oracle = manifest["baselines"]["idle"], manifest["baselines"]["oracles"]["heuristic"]
-    assert idle["n"] == oracle["n"] == 100 and idle["mean"] < -100 and oracle["mean"] > 200
+    starts = 10 if "gpc" not in manifest["specification"]["algo"] else worker.BASELINE_STARTS
+    assert idle["n"] == oracle["n"] == starts and idle["mean"] < -100 and oracle["mean"] > 200
 
 
 @pytest.mark.slow

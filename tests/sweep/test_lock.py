@@ -178,3 +178,13 @@ def test_a_folder_that_is_removed_meanwhile(tmp_path):
     with held(out):
         (out / LOCK).unlink()
         out.rmdir()
+
+
+def test_on_a_full_disk_it_is_held_and_nothing_is_left(tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(lock.os, "pwrite", full)
+    with held(tmp_path):
+        assert lock.holder(tmp_path) == "another process"
+    assert not list(tmp_path.iterdir())

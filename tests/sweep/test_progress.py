@@ -18,7 +18,7 @@ from gpcjax.sweep.crowd import Crowd
 from gpcjax.sweep.estimate import JOIN, compiling_left, overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
-from gpcjax.sweep.paces import GROWS, SLOWER, Paces
+from gpcjax.sweep.paces import SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
@@ -208,8 +208,6 @@ class TestPaces:
         Pace(2, seconds=6.0, lane_seconds=12.0, episodes=12, left=4, longest=2),
         Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1, left=3, longest=3),
     )
-    FIRST = (1 - GROWS) * 1.0 + GROWS * 3.0
-    """Seconds of an episode of a lane in the first tier, that goes on to the next."""
 
     def test_those_in_larger_tiers_take_longer(self):
         paces = Paces()
@@ -217,31 +215,49 @@ class TestPaces:
         paces.take(0, self.PACES)
         # Two episodes of two lanes side by side, some of them in the next tier, and three of a lane that has its
         # block alone.
-        assert paces.left(begun=5, free=0) == (pytest.approx(2.0 * self.FIRST + 9.0), 0.0)
+        assert paces.left(begun=5, free=0) == (pytest.approx(2.0 + 9.0), 0.0)
         assert paces.seconds == 9.0
 
     def test_runs_to_come_are_like_those_that_have_begun(self):
         paces = Paces()
         paces.take(0, self.PACES)
         bound, free = paces.left(begun=4, free=4)
-        lanes = (12.0 + 4.0 * self.FIRST) / 4, (3.0 + 9.0) / 4
-        assert bound == pytest.approx(2.0 * self.FIRST + 9.0)
+        lanes = (12.0 + 4.0) / 4, (3.0 + 9.0) / 4
+        assert bound == pytest.approx(2.0 + 9.0)
         assert free == pytest.approx(sum(4 * each / 2 for each in lanes) + sum(lanes) / 2)
 
     def test_a_tier_that_has_not_run_yet_is_slower_than_the_one_before(self):
         paces = Paces()
         paces.take(0, (self.PACES[0], Pace(2, left=1, longest=1)))
-        first = (1 - GROWS) + GROWS * SLOWER
-        assert paces.left(begun=4, free=0) == (pytest.approx(2.0 * first + SLOWER), 0.0)
+        assert paces.left(begun=4, free=0) == (pytest.approx(2.0 + SLOWER), 0.0)
+
+    def test_runs_outgrow_a_tier_where_others_did(self):
+        """Three of four went on with five episodes to do; of those that are there two may still, one is past it."""
+        first = Pace(2, seconds=6.0, lane_seconds=12.0, episodes=12).with_left([9, 8])
+        first = first._replace(outgrown=3, then_left=15, ended=1).with_left([9, 8, 2])
+        assert first.settled == 1
+        paces = Paces()
+        paces.take(0, (first, Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1)))
+        # Three of five do go on: of two 1.2 lanes, with five episodes each; the longest run does four before.
+        later = 1.2 * 5.0
+        expected = (19.0 - later) / 2 * 1.0 + 5.0 * 3.0
+        assert paces.left(begun=8, free=0) == (pytest.approx(expected), 0.0)
+        assert paces.waiting == 0
+        paces.take(0, (first, Pace(2)))
+        assert paces.waiting == 1
+
+    def test_what_was_done_adds_up(self):
+        one = Pace(2, 1.0, 2.0, 3, outgrown=1, then_left=4, ended=2).with_left([5, 1])
+        both = one.plus(one)
+        assert both == Pace(2, 2.0, 4.0, 6, outgrown=2, then_left=8, ended=4)
+        assert one.since(Pace(2)) == one and one.settled == 1
 
     def test_who_leaves_takes_nothing_along(self):
         paces = Paces()
         paces.take(0, self.PACES)
         paces.take(1, self.PACES)
         paces.leave(1)
-        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx(
-            (2.0 * self.FIRST + 9.0, 0.0)
-        )
+        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx((2.0 + 9.0, 0.0))
 
     def test_what_was_expected_counts_until_the_pace_is_known(self):
         """A program that took 30 s the last time, of which the first quarter came in 2 s: its later runs are longer."""

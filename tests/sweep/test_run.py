@@ -19,12 +19,12 @@ from gpcjax.report import html
 from gpcjax.report.content import document
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
-from gpcjax.sweep import begun, going, machine, origin
+from gpcjax.sweep import going, machine, opening, origin
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.begun import UNKNOWN
 from gpcjax.sweep.layout import FORMAT, tell
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import UNKNOWN
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import run, sweep
@@ -201,7 +201,7 @@ class TestOtherVersions:
         def make(fails_after):
             pretend(fails_after)
             with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
-                for module in (begun, origin):
+                for module in (opening, origin):
                     patch.setattr(module, "versions", lambda: versions() | {"jax": "0.4.1"})
                 sweep(tmp_path, **SETTINGS)
             return pretend()

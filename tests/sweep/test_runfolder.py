@@ -43,6 +43,13 @@ def test_what_a_kill_left_before_the_manifest_is_no_hindrance(tmp_path):
     check_sweep(tmp_path, SPEC)
 
 
+def test_nor_are_runs_under_way_of_a_folder_that_was_removed(tmp_path):
+    """A worker may write a checkpoint while somebody removes the folder around it."""
+    for name in ("1795715941520164536-10949-0", ".1795715941520164536-10949-1-ab_c"):
+        (tmp_path / "checkpoints" / name).mkdir(parents=True)
+    check_sweep(tmp_path, SPEC)
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -54,6 +61,8 @@ def test_what_a_kill_left_before_the_manifest_is_no_hindrance(tmp_path):
         "notes/a",
         "report.html",
         "damaged/episodes/x",
+        "checkpoints",
+        "checkpoints/mine",
         f"episodes/part-00000-{'0' * 12}-{'0' * 32}.parquet",
         f"episodes/part-00000-{'0' * 12}.parquet",
     ],

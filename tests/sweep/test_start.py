@@ -216,6 +216,24 @@ def test_what_is_damaged_there_is_a_line_once(tmp_path, capsys):
     assert capsys.readouterr().err == line + "\n"
 
 
+def test_d_coach_of_other_sizes_is_refused_before_anything_runs(tmp_path):
+    learner = gpcjax.make_learner("d-coach", "cartpole", width=8, buffer_size=20)
+    gpcjax.save_learner(tmp_path / "saved", learner, learner.init())
+    settings = {"env": "cartpole", "algo": "d-coach", "seeds": 1, "start": tmp_path / "saved"}
+    check_start(spec_of(width=8, buffer_size=20, batch_size=7, learning_rate=0.1, **settings))
+    for wrong, line in (
+        ({"width": 16, "buffer_size": 20}, "with width 8, here it is 16: give the same$"),
+        ({"width": [8, 16], "buffer_size": 20}, "with width 8, here it is 16: give the same$"),
+        ({"width": 8}, "with buffer_size 20, here it is 200: give the same$"),
+    ):
+        with pytest.raises(UserError, match=line):
+            check_start(spec_of(**settings, **wrong))
+    scaled = gpcjax.make_learner("d-coach", obs_size=4, action_size=1, width=8, scaling=[1.0, 1.0, 1.0, 2.0])
+    gpcjax.save_learner(tmp_path / "scaled", scaled, scaled.init())
+    with pytest.raises(UserError, match=r"with scaling 1, 1, 1, 2, here it is "):
+        check_start(spec_of(width=8, **settings | {"start": tmp_path / "scaled"}))
+
+
 def test_states_that_have_changed_since_are_refused(source, tmp_path):
     copy = shutil.copytree(source, tmp_path / "copy")
     contents = contents_of(copy, "start")

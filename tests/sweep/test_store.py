@@ -22,9 +22,9 @@ from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read, read_corrections, read_episodes, read_kept
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
-from tests import torture
 from tests.sweep.folders import begun, manifest_of
 from tests.sweep.pretended import rows
+from tests.torture import folders as torture
 
 SPEC = spec_of(env="cartpole", algo=["gpc", "coach"], error=[0, 0.1], seeds=2, episodes=3, oracle="lqr")
 EPISODE_COLUMNS = {
@@ -201,7 +201,7 @@ class TestReading:
 
 
 class TestDamage:
-    """Found by whoever reads, set aside by the sweep; `tests/torture.py` has more of it."""
+    """Found by whoever reads, set aside by the sweep; `tests/torture` has more of it."""
 
     @pytest.fixture
     def spoiled(self, tmp_path):

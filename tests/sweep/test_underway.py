@@ -14,7 +14,8 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.sweep import machine
-from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep import run as run_module
+from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS
@@ -25,14 +26,15 @@ from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.versions import versions
+from tests.sweep.pretended import Pretended
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for
-from tests.torture_underway import FAULTS, torture
+from tests.torture.underway import FAULTS, torture
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
-COMPILED = {"env": "cartpole", "algo": "gpc", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
-COMPILED |= {"max_capacity": 48, "on_full": "replace-nearest"}
-"""With dictionaries that do not grow: a program is enough (engine/test_keeping.py has those that do)."""
+COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
+DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest"}
+"""They do not grow: a program is enough (engine/test_keeping.py has those that do, and goes on with them)."""
 
 KEEP = {"keep": "states", "keep_at": 4}
 
@@ -65,17 +67,24 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
     return out
 
 
+def sweep_on(out, settings):
+    """To the end: here, and among the slow tests by workers, who start anew each time."""
+    executor = InProcess() if settings is COMPILED else None
+    return sweep(out, executor=executor, checkpoint=0, **KEEP, **settings)
+
+
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(HOST, marks=pytest.mark.slow, id="on the host"),
         pytest.param(COMPILED, id="compiled"),
+        pytest.param(DICTIONARIES, marks=pytest.mark.slow, id="with dictionaries"),
+        pytest.param(HOST, marks=pytest.mark.slow, id="on the host"),
     ],
 )
 def case(request, tmp_path_factory):
     """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
     settings = request.param
-    reference = sweep(tmp_path_factory.mktemp("reference") / "out", checkpoint=0, **KEEP, **settings)
+    reference = sweep_on(tmp_path_factory.mktemp("reference") / "out", settings)
     return settings, reference, killed_under_way(tmp_path_factory.mktemp("killed"), settings | KEEP)
 
 
@@ -100,7 +109,7 @@ def test_it_goes_on_from_there_to_the_same_bits(case, killed):
     # The one before the last is not needed any more, but the kill came before it went.
     assert len(list((killed / CHECKPOINTS).iterdir())) == 2
     before = steps_of(killed)
-    sweep(killed, checkpoint=0, **KEEP, **settings)
+    sweep_on(killed, settings)
     assert_same(killed, reference)
     total = read_episodes(killed)["length"].sum()
     assert 0 < steps_of(killed) - before < total
@@ -116,7 +125,7 @@ def test_a_damaged_checkpoint_costs_time_alone(case, killed, capsys):
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 1
         file.write_bytes(data)
-    sweep(killed, checkpoint=0, **KEEP, **settings)
+    sweep_on(killed, settings)
     said = capsys.readouterr().err
     assert re.search(
         r"2 damaged checkpoints set aside, their runs begin anew \(checkpoints/\d+-\d+-\d+\)", said
@@ -136,7 +145,7 @@ def test_no_spoiled_checkpoint_is_gone_on_with(case, cases):
 def found(out, settings, **changes):
     cells = set(plan(spec_of(**settings)))
     agree = told(versions(), machine.kind_of(machine.describe()), keeping_of(**KEEP)) | changes
-    return survey(out, cells.__contains__, agree, print)
+    return survey(out, cells.__contains__, agree, print).get(HERE, {})
 
 
 def test_what_runs_must_agree_in(case, killed, tmp_path):
@@ -152,6 +161,9 @@ def test_what_runs_must_agree_in(case, killed, tmp_path):
         "keeping": {"keeping": None},
     }.items():
         assert not found(shutil.copytree(killed, tmp_path / name), settings, **changes)
+        # For machines of the kind that wrote it, it is still there.
+        kept = {path.name for path in (tmp_path / name / CHECKPOINTS).iterdir()}
+        assert kept == (set(left) if name == "machine" else set())
     other = settings | {"rate": 0.3}
     assert not found(shutil.copytree(killed, tmp_path / "cells"), other)
 
@@ -190,13 +202,16 @@ def test_policies_and_states(case, compiled_plainly):
 
 
 def test_nothing_was_kept(tmp_path, compiled_plainly):
-    settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 2, "executor": InProcess()}
-    out = sweep(tmp_path / "out", **settings)
+    settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 3}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_module, "Processes", Pretended())
+        out = sweep(tmp_path / "out", **settings)
     with pytest.raises(ValueError, match="no policies were kept there, give --keep policies"):
         gpcjax.load_policies(out)
+    settings |= {"oracle": "lqr", "executor": InProcess()}
     sweep(tmp_path / "kept", keep="policies", keep_at="best", **settings)
     (episode,) = load_policies(tmp_path / "kept")["episode"]
-    assert episode == 1 + read_episodes(out)["return"].argmax()
+    assert episode == 1 + read_episodes(tmp_path / "kept")["return"].argmax()
     with pytest.raises(ValueError, match="no states were kept there"):
         load_states(tmp_path / "kept")
 

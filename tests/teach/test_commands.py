@@ -10,9 +10,10 @@ import pytest
 
 from gpcjax import cli
 from gpcjax.teach.course import COURSE, Course
-from gpcjax.teach.lesson import Lesson, Options, Standing
+from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.protocol import Command
 from gpcjax.teach.server import bound
+from gpcjax.teach.standing import Options, Standing
 from gpcjax.teach.teller import Teller
 
 

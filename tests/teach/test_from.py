@@ -17,6 +17,13 @@ from tests.sweep.learned import Learned
 OBS = np.array([0.5, 0.01])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_dictionaries():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gpcjax.teach.beginning.DICTIONARY", 64)
+        yield
+
+
 def learner_and_state(algo, way):
     """A mountain car's, taught to go this way there."""
     learner = make_learner(algo, "mountaincar")

@@ -10,9 +10,10 @@ import pytest
 
 import gpcjax
 from gpcjax.sweep.given import Given
-from gpcjax.teach.course import RECORD, Course
-from gpcjax.teach.lesson import Lesson, Options
+from gpcjax.teach.course import DICTIONARY, RECORD, Course
+from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.protocol import Command, Press
+from gpcjax.teach.standing import Options
 
 ENV = "tests.teach.drifting:Drift"
 ROOT = Path(__file__).parents[2]
@@ -59,7 +60,14 @@ class Held:
 
 
 @pytest.fixture(scope="module")
-def held(tmp_path_factory):
+def small_dictionaries():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gpcjax.teach.beginning.DICTIONARY", 64)
+        yield
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory, small_dictionaries):
     held = Held(tmp_path_factory.mktemp("lessons") / "taught-1")
     yield held
     held.lesson.close()
@@ -160,7 +168,7 @@ def test_after_a_sleep_no_steps_are_made_up_for(held):
     """A laptop that slept for an hour: its clock goes on from now."""
     held.ask("pause", on=False)
     held.wait("frame")
-    held.lesson._due -= 3600.0
+    held.lesson._teaching._due -= 3600.0
     held.forget()
     began = time.monotonic()
     time.sleep(0.3)
@@ -199,12 +207,16 @@ def test_saved_and_opened(held):
     assert second.name == "taught-2" and (second / "start").is_dir()
 
 
-def test_begun_anew_with_another_learner(held):
+@pytest.mark.parametrize(
+    ("algo", "setting"),
+    [("gpc", "constant_rate"), pytest.param("d-coach", "learning_rate", marks=pytest.mark.slow)],
+)
+def test_begun_anew_with_another_learner(held, algo, setting):
     first, number = held.lesson.folder.name.rsplit("-", 1)
-    held.ask("learner", name="d-coach", settings={"learning_rate": 0.1})
+    held.ask("learner", name=algo, settings={setting: 0.1})
     task = held.wait("task", seconds=120)
-    assert task["learner"]["name"] == "d-coach" and held.lesson.folder.name == f"{first}-{int(number) + 1}"
-    assert {each["name"]: each["value"] for each in task["learner"]["settings"]}["learning_rate"] == 0.1
+    assert task["learner"]["name"] == algo and held.lesson.folder.name == f"{first}-{int(number) + 1}"
+    assert {each["name"]: each["value"] for each in task["learner"]["settings"]}[setting] == 0.1
 
 
 def test_two_lessons_in_one_folder(held):
@@ -216,12 +228,22 @@ def test_two_lessons_in_one_folder(held):
     assert "in use" in str(other.failure) or "writes" in str(other.failure) or "another" in str(other.failure)
 
 
+class WritesHere:
+    """In place of the process that writes: test_clerk.py has that, and the lesson above."""
+
+    write = staticmethod(lambda kept: kept.write())
+
+    def close(self):
+        pass
+
+
 class TestFailing:
     """Code of a person's own that fails on the way: it is said, the lesson rests, and goes on."""
 
     @pytest.fixture
-    def begun(self, tmp_path):
+    def begun(self, tmp_path, monkeypatch, small_dictionaries):
         begun = []
+        monkeypatch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
 
         def begin(**words):
             begun.append(Held(tmp_path / f"taught-{len(begun)}", **words))
@@ -316,8 +338,9 @@ def command(*words):
 
 
 @pytest.mark.slow
-def test_killed_and_gone_on_with(tmp_path, compiled_as_shipped):
+def test_killed_and_gone_on_with(tmp_path, compiled_as_shipped, monkeypatch):
     """Kill -9 of a lesson as a process: what was recorded is there, is the same to the bit, and goes on."""
+    monkeypatch.setattr("gpcjax.teach.beginning.DICTIONARY", DICTIONARY)  # as there
     folder = tmp_path / "taught-1"
     script = f"""
 import time

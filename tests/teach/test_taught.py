@@ -47,6 +47,13 @@ def nothing(line):
     pass
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_dictionaries():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gpcjax.teach.beginning.DICTIONARY", 64)
+        yield
+
+
 @pytest.fixture(scope="module")
 def lesson(tmp_path_factory):
     """Two episodes and a part of the third, ended by force once."""

@@ -141,7 +141,7 @@ def test_what_cannot_be_done_is_refused(folder, tmp_path, given, message):
         by_likelihood(folder, tmp_path, **given)
 
 
-def test_from_python_the_callers_process_stays_as_it_is(folder, tmp_path, monkeypatch):
+def test_from_python_the_callers_process_stays_as_it_is(folder, tmp_path, monkeypatch, figures_unpainted):
     """The command computes as workers do; whoever calls it from a program of their own has settings of their own."""
     monkeypatch.setattr(carrying_out, "Processes", lambda jobs: contextlib.nullcontext(Pretended()(jobs)))
     monkeypatch.setenv("JAX_LOG_COMPILES", "0")

@@ -247,6 +247,9 @@ def test_a_folder_holds_one_search(workers, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
+    "sampler", ["0", *(pytest.param(sampler, marks=pytest.mark.slow) for sampler in "12")]
+)
+@pytest.mark.parametrize(
     "words",
     [
         pytest.param((*SEARCH, "--trials", "1"), id="one trial"),
@@ -256,16 +259,14 @@ def test_a_folder_holds_one_search(workers, tmp_path, capsys):
         ),
     ],
 )
-def test_one_point_is_enough(workers, tmp_path, capsys, words):
+def test_one_point_is_enough(workers, tmp_path, capsys, words, sampler):
     """At its end, and when it goes on: what has one value in all rows is no column of them."""
-    for sampler in "012":
-        for _ in range(2):
-            assert cli.main([*WORDS[:-1], f"o{sampler}", "--sampler-seed", sampler, *words]) == 0
-        found = table(tmp_path / f"o{sampler}")
-        best = tuned(tmp_path / f"o{sampler}").hyperparameters
-        for name in ("policy_length_scale", "human_length_scale"):
-            assert best[name] == pytest.approx((found[name][0],), rel=1e-15)
-            assert 0.01 <= best[name][0] <= 100
+    for _ in range(2):
+        assert cli.main([*WORDS, "--sampler-seed", sampler, *words]) == 0
+    found, best = table(tmp_path / "o"), tuned(tmp_path / "o").hyperparameters
+    for name in ("policy_length_scale", "human_length_scale"):
+        assert best[name] == pytest.approx((found[name][0],), rel=1e-15)
+        assert 0.01 <= best[name][0] <= 100
 
 
 def test_another_best_or_other_seeds_are_judged_alone(workers, tmp_path, capsys):

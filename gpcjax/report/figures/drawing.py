@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from gpcjax.errors import UserError
 from gpcjax.report import content, html
 from gpcjax.report.drawn import PAGE
 from gpcjax.report.figures import curves, grids, style
+from gpcjax.report.files import write_files
 from gpcjax.report.summary import Summary
-from gpcjax.sweep.atomic import write_atomic
 
 _MEND = "make room and give the right to write, or report on a copy"
 
@@ -49,9 +48,4 @@ def write(
             pictures.append(style.pictured(drawing))
     page = content.document(summary, pictures)
     files[PAGE] = html.render(page, head(files))
-    for name, written in files.items():
-        try:
-            write_atomic(out / name, written)
-        except OSError as error:
-            raise UserError(f"{out / name}: cannot be written ({error.strerror}), {_MEND}") from None
-    return replace(summary, files=tuple(out / name for name in files))
+    return replace(summary, files=write_files(out, files, _MEND))

@@ -29,9 +29,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from gpcjax.engine.pace import Pace
-from gpcjax.sweep.checkpoints import Place
 from gpcjax.sweep.keeping import Keeping
-from gpcjax.sweep.plan import Cell, program_of
 from gpcjax.sweep.works import Work
 
 if TYPE_CHECKING:
@@ -79,14 +77,6 @@ class Orders:
     """What runs must agree in to go on (`gpcjax.sweep.checkpoints.told`)."""
     varying: tuple[str, ...] = ()
     """Settings with more than one value in the folder that rows go to: they are columns of its tables."""
-    places: Mapping[Cell, Place] = dataclasses.field(default_factory=dict)
-    """Where runs can go on."""
-
-    def of(self, cell: Cell) -> "Orders":
-        """Those for the program of this cell."""
-        program = program_of(cell)
-        places = {each: place for each, place in self.places.items() if program_of(each) == program}
-        return dataclasses.replace(self, places=places)
 
 
 NO_ORDERS = Orders()

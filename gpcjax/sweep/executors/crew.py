@@ -52,7 +52,6 @@ class Member:
     actor: Any
     machine: Machine | None = None
     """Where it is; None until it has a place."""
-    kind: str = ""
     busy: bool = False
     """Whether it has been given something to do; else nobody waits for it once all is done."""
     has: set[str] = dataclasses.field(default_factory=set)
@@ -76,8 +75,6 @@ class Crew:
         self._losses = dict.fromkeys(range(desk.workers), 0)
         self._saved: dict[int, tuple[str, Mapping[Cell, Place]]] = {}
         """The last checkpoint of each worker, and where its runs are."""
-        self._kinds: dict[str, str] = {}
-        """The kind of machine of each checkpoint that came in."""
         self._versions, self._source = versions(), source_digest()
         self._here = kind_of(place().machine)
         self._told: dict[str, float] = {}
@@ -195,30 +192,24 @@ class Crew:
                 f"machine {there.name}: its gpcjax {self._versions['gpcjax']} is of another source ({there.source}, "
                 f"here {self._source}): install the same there"
             )
-        member.machine, member.kind = there, kind_of(there.machine)
-        if member.kind != self._here:
+        member.machine = there
+        if kind_of(there.machine) != self._here:
             self._desk.answer(member.number, ("machine", there.machine))
 
     def _packed(self, member: Member, answer: Message) -> bytes:
-        """An answer, and the checkpoints from which its cells go on, where these are of this kind of machine."""
+        """An answer, and the checkpoints from which its cells go on, which are of this kind of machine."""
         archives: dict[str, bytes] = {}
         folder = self._desk.orders.checkpoints
         if isinstance(orders := answer[-1], Orders):
             least = self._desk.workers / SAVES_PER_SECOND
             seconds = max(orders.seconds, least) if orders.seconds else 0.0
-            answer = (*answer[:-1], dataclasses.replace(orders, places={}, seconds=seconds))
+            answer = (*answer[:-1], dataclasses.replace(orders, seconds=seconds))
         elif answer[0] == "cells" and len(answer) == 3:
-            places = {
-                cell: there
-                for cell, there in answer[2].items()
-                if self._kinds.get(there.folder, self._here) == member.kind
-            }
-            wanted = {there.folder for there in places.values()} - member.has
+            wanted = {there.folder for there in answer[2].values()} - member.has
             if folder is not None:
                 with contextlib.suppress(UserError):  # then their runs begin anew, with a line
                     archives = {name: pack([(Path(folder) / name, name)]) for name in wanted}
             member.has |= archives.keys()
-            answer = (*answer[:2], places)
         return pickle.dumps((answer, archives), protocol=5)
 
     def _save(self, member: Member, name: str, archive: bytes) -> None:
@@ -231,7 +222,6 @@ class Crew:
         except (OSError, UserError, KeyError, TypeError, ValueError) as error:
             self._desk.answer(member.number, ("note", f"no checkpoint: {error}"))
             return
-        self._kinds[name] = member.kind
         member.has.add(name)
         before, _ = self._saved.get(member.number, ("", {}))
         self._saved[member.number] = name, places

@@ -10,7 +10,7 @@ from typing import Any
 from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import Place
+from gpcjax.sweep.checkpoints import HERE, Place
 from gpcjax.sweep.crowd import Crowd
 from gpcjax.sweep.estimate import overdue
 from gpcjax.sweep.executors.base import NO_ORDERS, Message, Orders, Totals
@@ -40,7 +40,7 @@ class _Heard:
     compiling_since: float | None = None
     baseline: tuple[str, str] | None = None
     """What it measures now."""
-    machine: str = ""
+    machine: str = HERE
     """The kind of machine that it is on, where that is another one than the desk's."""
 
 
@@ -60,6 +60,7 @@ class Desk:
         starts: seconds until workers are there, likewise.
         on_machine: called with the description of each machine that a worker says to be on.
         on_over: called with the name of each checkpoint whose runs have all been handed in.
+        places: where runs can go on, by the kind of machine.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class Desk:
         starts: float = 0.0,
         on_machine: Callable[[Mapping[str, Any]], None] = lambda described: None,
         on_over: Callable[[str], None] = lambda name: None,
+        places: Mapping[str, Mapping[Cell, Place]] = {},
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
         self.workers = max(1, min(jobs, len(self.cells) or 1))
@@ -84,7 +86,8 @@ class Desk:
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
         self._on_note, self._on_machine, self._on_over = on_note, on_machine, on_over
-        self._orders, self._places = orders, dict(orders.places)
+        self._orders = orders
+        self._places = {kind: dict(theirs) for kind, theirs in places.items()}
         self._heard = [_Heard() for _ in range(self.workers)]
         self._done = Totals()
         """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
@@ -147,12 +150,13 @@ class Desk:
         """Take back what this worker had, which is gone, for others; for executors whose machines come and go.
 
         What it still says must not be passed on. Workers that were told to stop are not called back, so another one
-        should be run in its place, under the same number. `places` are where its runs can go on.
+        should be run in its place, under the same number. `places` are where its runs can go on, on such a machine.
         """
         with self._lock:
             heard, self._heard[worker] = self._heard[worker], _Heard()
             lost = self._sharing.lose(worker)
-            self._places |= {cell: places[cell] for cell in lost if cell in places}
+            alike = self._places.setdefault(heard.machine, {})
+            alike |= {cell: places[cell] for cell in lost if cell in places}
             if heard.baseline is not None:
                 self._measure.appendleft(heard.baseline)
 
@@ -175,7 +179,8 @@ class Desk:
                 return self._next_program(worker)
             case ("next",):
                 cells = self._sharing.next_cells(worker)
-                places = {cell: self._places[cell] for cell in cells if cell in self._places}
+                alike = self._places.get(self._heard[worker].machine, {})
+                places = {cell: alike[cell] for cell in cells if cell in alike}
                 return ("cells", cells, places) if places else ("cells", cells)
             case ("rows", CellRows() | Block() as rows):
                 self._take(worker, rows, self._heard[worker].machine)
@@ -209,14 +214,14 @@ class Desk:
         cell = None if self._measure and measures else self._sharing.next_program(worker)
         if cell is not None:
             heard.since = time.monotonic()
-            return ("program", cell, self._orders.of(cell))
+            return ("program", cell, self._orders)
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
             heard.baseline = self._measure.popleft()
             return ("baseline", *heard.baseline)
         copy = self._sharing.next_copy(worker) if self._copies else None
         if copy is not None:
             heard.since = time.monotonic()
-            return ("program", copy, self._orders.of(copy))
+            return ("program", copy, self._orders)
         return ("stop",)
 
     def _take(self, worker: int, rows: CellRows | Block, machine: str) -> None:

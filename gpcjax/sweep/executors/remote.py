@@ -25,10 +25,10 @@ from typing import Any
 from gpcjax import elsewhere
 from gpcjax.sweep import machine
 from gpcjax.sweep.blocks import block_of
-from gpcjax.sweep.checkpoints import is_checkpoint
 from gpcjax.sweep.environment import worker_environment
 from gpcjax.sweep.executors.base import ASKS, Message, Orders
 from gpcjax.sweep.executors.processes import _end_of, _start, _Worker
+from gpcjax.sweep.layout import is_checkpoint
 from gpcjax.sweep.parcel import CODE, Parcel, pack, unpack
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.versions import source_digest, versions

@@ -1,14 +1,14 @@
 """Sweeps that are killed at random moments, again and again: do they come to the same bits?
 
-    python -m tests.kills [--kills 200] [--seed 0]
+    python -m tests.torture.kills [--kills 200] [--seed 0]
 
 Each sweep of `SWEEPS` runs once undisturbed. Then it is begun in a new folder and killed, and begun again in the same
 one and killed again, until it gets to its end; and then anew, until there were as many kills as wanted. What is killed
 is drawn: the parent by SIGKILL (its workers must be gone within a second), one of its workers, or the parent by a
 signal that it hears (SIGTERM, SIGHUP, SIGINT), once or twice. The moment is drawn too, from the start of Python to the
-report; or it is an exact one of `tests.killed_at`: within the writing of the manifest, of a part or of the report, or
-while a worker compiles, with nothing kept of earlier compilations. After each kill what is there must be rows of the
-undisturbed sweep; at the end all of them, with what was kept, to the bit.
+report; or it is an exact one of `tests.torture.killed_at`: within the writing of the manifest, of a part or of the
+report, or while a worker compiles, with nothing kept of earlier compilations. After each kill what is there must be
+rows of the undisturbed sweep; at the end all of them, with what was kept, to the bit.
 """
 
 import argparse
@@ -32,10 +32,10 @@ from gpcjax.sweep.environment import CACHE
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
-from tests.killed_at import COMPILES, MOMENTS
 from tests.sweep.processes import alive, workers_of
+from tests.torture.killed_at import COMPILES, MOMENTS
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SWEEPS = {
     "compiled": "--env cartpole --algo coach,gpc --oracle lqr --rate 0.2 --seeds 40 --episodes 40 --keep policies "
     "--keep-at 10 --jobs 2 --max-capacity 128 --on-full replace-nearest",
@@ -80,7 +80,7 @@ def torture(kills: int, seed: int, sweeps: dict[str, str] | None = None) -> Iter
                 yield f"{name}: the undisturbed sweep failed: {done.stderr[-2000:]}"
                 continue
             usual, began = time.monotonic() - began, time.monotonic()
-            expected = _content(reference)
+            expected = content_of(reference)
             while sum(tally.kills.values()) < wanted and not tally.wrong:
                 out = Path(scratch, f"{sum(tally.finished.values())}")
                 _until_it_ends(_command(words, out), out, random, usual, expected, wanted, tally)
@@ -123,7 +123,7 @@ def _until_it_ends(
             if sum(tally.kills.values()) < wanted and random.random() < EXACT:
                 moment = str(random.choice(MOMENTS))
                 count = int(random.integers(1, 4 if moment in COMPILES else LATEST))
-                given = [*command[:2], "tests.killed_at", moment, str(count), *command[3:]]
+                given = [*command[:2], "tests.torture.killed_at", moment, str(count), *command[3:]]
                 if moment in COMPILES:
                     environment[CACHE] = str(out.with_name(f"cache-{sum(tally.kills.values())}"))
             running = subprocess.Popen(
@@ -149,9 +149,9 @@ def _until_it_ends(
         elif status:
             tally.wrong.append(f"it ended with {status}: {text[-2000:]}")
         else:
-            same = all(map(_same, _content(out), expected)) and read_manifest(out)["complete"]
-            tally.finished["same" if same else "other"] += 1
-            if not same:
+            whole = all(map(same, content_of(out), expected)) and read_manifest(out)["complete"]
+            tally.finished["same" if whole else "other"] += 1
+            if not whole:
                 tally.wrong.append("it came to other rows")
             return
 
@@ -216,19 +216,19 @@ def _judge(
         tally.wrong.append(f"{kind}: it ended with {status}: {text[-2000:]}")
     if (out / MANIFEST).exists() and any((out / EPISODES).glob("*.parquet")):
         try:
-            found = _content(out)
+            found = content_of(out)
         except UserError as error:
             tally.wrong.append(f"{kind}: {error}")
             return
         for frame, whole in zip(found, expected, strict=True):
             keys = [name for name in ("algo", "seed") if name in frame]
-            if len(frame) and not _same(
+            if len(frame) and not same(
                 frame, whole.merge(frame[keys].drop_duplicates(), on=keys)[list(whole)]
             ):
                 tally.wrong.append(f"{kind}: what is left are not rows of the sweep")
 
 
-def _content(out: Path) -> list[pd.DataFrame]:
+def content_of(out: Path) -> list[pd.DataFrame]:
     """All that a folder holds, without a word about it."""
     return [
         read(out, _refuse).sort_values(order, ignore_index=True)
@@ -246,7 +246,8 @@ def _refuse(line: str) -> None:
     raise UserError(line)
 
 
-def _same(got: pd.DataFrame, expected: pd.DataFrame) -> bool:
+def same(got: pd.DataFrame, expected: pd.DataFrame) -> bool:
+    """To the bit."""
     try:
         pd.testing.assert_frame_equal(
             got.reset_index(drop=True), expected.reset_index(drop=True), check_exact=True

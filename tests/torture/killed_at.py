@@ -1,6 +1,6 @@
 """gpcjax as it is typed, killed at one exact moment.
 
-    python -m tests.killed_at MOMENT COUNT sweep ...
+    python -m tests.torture.killed_at MOMENT COUNT sweep ...
 
 The process kills itself by SIGKILL just before it does something of the kind of MOMENT for the COUNT-th time: it opens,
 renames or removes a file whose name is one of `FILES[MOMENT]`, or it hears that a worker begins to compile, which is

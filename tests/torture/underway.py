@@ -1,6 +1,6 @@
 """Faults injected into the checkpoints of a sweep that was killed: is what is damaged ever gone on with?
 
-    python -m tests.torture_underway OUT [--cases 1000] [--seed 0]
+    python -m tests.torture.underway OUT [--cases 1000] [--seed 0]
 
 OUT is the folder of a sweep that was killed in the middle of its runs. Each case copies it, spoils its checkpoints in
 one to three ways, and asks where runs can go on, as a sweep does. Right is: whatever is offered is to the bit what was
@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from gpcjax.policies.folder import CARD, SUMS, _names, _sum, read_arrays, read_card
-from gpcjax.sweep.checkpoints import KIND, runs_of, survey
+from gpcjax.sweep.checkpoints import HERE, KIND, runs_of, survey
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED
 from gpcjax.sweep.plan import Cell
-from tests.torture import EDITS
+from tests.torture.faults import EDITS
 
 AGREE = ("versions", "machine", "keeping")
 
@@ -189,7 +189,7 @@ def judge(case: Case, saved: Saved, agree: dict) -> str:
         AssertionError: it was not right.
     """
     lines: list[str] = []
-    places = survey(case.out, saved.__contains__, agree, lines.append)
+    places = survey(case.out, saved.__contains__, agree, lines.append).get(HERE, {})
     for cell, place in places.items():
         folder = case.out / CHECKPOINTS / place.folder
         try:

@@ -1,0 +1,63 @@
+"""All that a sweep and its folder have to survive.
+
+    python -m tests.torture [--cases 1000] [--kills 200] [--disks 400] [--seed 0]
+
+Folders are spoiled (`folders`), checkpoints (`underway`) and shards (`shards`); disks become full or read-only under a
+command, or its folder goes (`disks`; `disks_underway` has real workers); real sweeps are killed at random moments
+(`kills`).
+"""
+
+import argparse
+import collections
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from tests.sweep.test_underway import COMPILED, KEEP, killed_under_way
+from tests.torture import folders, kills, shards, underway
+
+
+def told(what: str, judged: Iterable[tuple[str, str | None, str]]) -> int:
+    """Says what became of the cases, and which were not right; how many."""
+    began, counts = time.monotonic(), collections.Counter()
+    for name, status, why in judged:
+        counts[status or "WRONG"] += 1
+        if status is None:
+            print(f"{name}\n{why}", flush=True)
+    kinds = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+    print(f"{what}: {counts.total()} in {time.monotonic() - began:.0f} s: {kinds}", flush=True)
+    return counts["WRONG"]
+
+
+def main() -> int:
+    """Says how many cases became what, and prints those that were not right."""
+    parser = argparse.ArgumentParser(
+        description="Spoil run folders, disks and sweeps, and see that nothing is lost."
+    )
+    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--disks", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    cases, seed = arguments.cases, arguments.seed
+    wrong = told("spoiled folders", folders.torture(cases, seed))
+    wrong += told("spoiled folders without checksums", folders.torture(cases, seed, sealed=False))
+    wrong += told("spoiled shards", shards.torture(cases, seed))
+    with tempfile.TemporaryDirectory() as folder:
+        out = killed_under_way(Path(folder), COMPILED | KEEP)
+        wrong += told("spoiled checkpoints", underway.torture(out, cases, seed))
+    for module, some in (("disks", arguments.disks), ("disks_underway", arguments.disks // 20)):
+        # In a process of its own, which mounts disks that nobody else sees.
+        words = ["-m", f"tests.torture.{module}", "--cases", str(some), "--seed", str(seed)]
+        wrong += subprocess.run([sys.executable, *words]).returncode
+    killed = list(kills.torture(arguments.kills, seed))
+    print("\n".join(killed) if killed else "no kill did any harm")
+    return os.EX_OK if not wrong and not killed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
