@@ -36,7 +36,7 @@ def check(
     if resolved:
         check_folder(out, spec, keeping, shard)
     if spec.start is not None:
-        from gpcjax.sweep.sources import check_start  # which reads run folders
+        from gpcjax.sweep.startable import check_start  # which reads run folders
 
         check_start(spec, start)
 

@@ -25,8 +25,9 @@ from gpcjax.sweep.plan import hash_of, plan, program_of
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.sources import Contents, State, _group, _places, check_start, contents_of
+from gpcjax.sweep.sources import Contents, State, _group, _places, contents_of
 from gpcjax.sweep.spec import as_dict, from_dict, spec_of
+from gpcjax.sweep.startable import check_start
 from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun
 from tests.sweep.pretended import rows
