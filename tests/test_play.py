@@ -1,5 +1,7 @@
 """Watching a policy: which one it is, what is drawn of it, and the GIF that is written."""
 
+import shutil
+
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -73,6 +75,16 @@ def test_of_a_run_folder_it_plays_the_best_of_what_was_kept_last(folder, seed, w
     player = player_of(str(folder), None, seed, where)
     assert (player.who, player.env, player.seed) == (who, "cartpole", int(who.split("seed ")[1][0]))
     assert way(player) == expected
+
+
+def test_what_is_damaged_there_is_a_line(folder, tmp_path, capsys):
+    """Of ours, and no warning of Python's."""
+    out = shutil.copytree(folder, tmp_path / "out")
+    part = min((out / "corrections").iterdir())
+    shutil.copy(part, part.with_name("mine.parquet"))
+    assert player_of(str(out), None, None, {}).env == "cartpole"
+    told = capsys.readouterr().err
+    assert told.startswith(f"gpcjax: {out}: not rows of this sweep") and told.count("\n") == 1
 
 
 def test_what_was_saved_is_played(tmp_path):

@@ -15,18 +15,18 @@ from gpcjax.cli.showing import report
 from gpcjax.cli.words import settings
 from gpcjax.errors import Failure, UserError
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.beforehand import check
 from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.environment import compute_platform, notes
 from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.given import Given, Unchecked
-from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping, keeping_of
 from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.lock import held
 from gpcjax.sweep.options import OPTIONS, parse
 from gpcjax.sweep.plan import count, default_out, varying
-from gpcjax.sweep.runfolder import check_report, check_sweep
-from gpcjax.sweep.shards import Shard, check_shard, shard_of
+from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.shards import Shard, shard_of
 from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 
 if TYPE_CHECKING:
@@ -72,15 +72,8 @@ def sweep(arguments: argparse.Namespace) -> int:
     shard = shard_of(given["shard"].value, given["shard"].source) if "shard" in given else None
     out = out if shard is None else shard.folder(out)
     running = Running(jobs, arguments.json, arguments.live, *_kept(given), executor, shard)
-    check_keeping(running.keeping, spec, "--keep")
-    if not unresolved:  # without its schedule, this is not yet the specification that the folder holds
-        check_sweep(out, spec)
-        check_shard(out, shard, cells)
-        check_kept(out, running.keeping, spec)
-    if spec.start is not None:
-        from gpcjax.sweep.sources import check_start  # which reads run folders
-
-        check_start(spec, given["start"].source)
+    start = given["start"].source if "start" in given else "start"
+    check(out, spec, running.keeping, shard, "--keep", start, resolved=not unresolved)
     for line in left_out(spec.env) if "algo" not in given else ():
         tell(line, 0)
     if arguments.dry_run:
@@ -181,10 +174,16 @@ def _teach(spec: SweepSpec, out: Path, running: Running) -> int:
                 )
             (out / FAULT).unlink(missing_ok=True)
             if running.shard is not None:  # all of them are reported on together
-                whole = out.parent.parent
-                print(f"{out}: shard {running.shard} is there; gpcjax merge {whole}, when all of them are")
-                return 0
+                return _tell_shard(out, running.shard, running.as_json)
             return report(out, running.as_json, anew=ran)
+
+
+def _tell_shard(out: Path, shard: Shard, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps({"event": "shard", "shard": str(shard), "out": str(out)}))
+    else:
+        print(f"{out}: shard {shard} is there; gpcjax merge {out.parent.parent}, when all of them are")
+    return 0
 
 
 @contextmanager

@@ -116,11 +116,12 @@ def _has_runs(folder: Path) -> bool:
 def _of_runs(folder: Path, env: str | None, seed: int | None, where: Mapping[str, str]) -> Chosen:
     from gpcjax.report.words import algorithm
     from gpcjax.sweep.kept import PACKED, kept_rows, narrowed, newest
+    from gpcjax.sweep.layout import tell
     from gpcjax.sweep.learned import learned_of
     from gpcjax.sweep.manifest import read_manifest
 
     asked = {**where, **({} if seed is None else {"seed": str(seed)})}
-    chosen = narrowed(newest(kept_rows(folder, "policy", {})), asked, str(folder))
+    chosen = narrowed(newest(kept_rows(folder, "policy", {}, tell)), asked, str(folder))
     # Of equals the first, in the order of `load`; what is no number comes last.
     returns = chosen["return"].fillna(-math.inf).to_numpy()
     row = chosen.to_dict("records")[int(returns.argmax())]

@@ -24,6 +24,7 @@ from gpcjax.report.statistics import Interval
 from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.plan import hash_of
+from gpcjax.sweep.source import Source
 
 RUNS = Path("runs")
 LONGEST = 120
@@ -246,11 +247,14 @@ def _both(pair: Pair, name: str) -> tuple[Any, Any]:
 
 
 def _cells(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings as fields of a table: a series, which is one value, as its text."""
-    return {
-        name: " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value
-        for name, value in settings.items()
-    }
+    """Settings as fields of a table: a series, which is one value, as its text, and so is a folder to begin with."""
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, Source):
+            return value.label
+        return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value
+
+    return {name: cell(value) for name, value in settings.items()}
 
 
 def _settings_of_profiles(comparison: Comparison) -> set[str]:

@@ -14,8 +14,8 @@ from gpcjax.errors import UserError
 from gpcjax.registry import Kind, built_in, find
 from gpcjax.report.groups import Group, Study, gather, unique
 from gpcjax.sweep import points
+from gpcjax.sweep.boxes import usual
 from gpcjax.sweep.counted import read_counted
-from gpcjax.sweep.growth import usual
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.options import concerns
 from gpcjax.sweep.requested import chosen_of
@@ -38,7 +38,7 @@ _LATER: Mapping[str, Any] = {"teacher": ORACLE, "rate_schedule": [], "start": No
 }
 """What a specification means that does not name them: they came with later versions."""
 
-Value = str | float | bool | tuple[Any, ...] | None
+Value = str | float | bool | tuple[Any, ...] | Source | None
 """Of a setting in a group; None where it changes nothing."""
 
 
@@ -148,7 +148,7 @@ def opened(path: Path, name: str, say: Callable[[str], None], spec: SweepSpec | 
     for each, meant in _LATER.items():
         specification.setdefault(each, meant)
     if specification["start"] is not None:
-        specification["start"] = Source(**specification["start"]).label
+        specification["start"] = Source(**specification["start"])
     lengths = {each: specification.pop(each) for each in _LENGTHS if each in specification}
     given = points.given(specification)
     specification.pop("hyperparameters", None)

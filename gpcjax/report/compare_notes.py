@@ -9,6 +9,7 @@ from gpcjax.report.compare_match import OWN, PRESET, Folder, Match, Value, names
 from gpcjax.report.compare_numbers import Difference
 from gpcjax.report.groups import Baseline, Group, unique
 from gpcjax.sweep.machine import differences as of_machines
+from gpcjax.sweep.source import Source
 
 MOST_VALUES = 6
 """Values of a setting that a sentence lists."""
@@ -154,6 +155,8 @@ def shown(name: str, value: Value) -> str:
         return f"{len(value)} values from {value[0]:g} to {value[-1]:g}"
     if isinstance(value, tuple):
         return " ".join(f"{each:g}" for each in value) or "none"
+    if isinstance(value, Source):
+        return value.label
     return f"{value:g}" if isinstance(value, int | float) else value
 
 

@@ -14,6 +14,7 @@ from gpcjax.sweep.points import given
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.shards import held_shard
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.telling import clock_time
 
 
 def sheet(folders: Iterable[RunFolder], below: Path) -> Sheet:
@@ -52,7 +53,7 @@ def facts(folder: RunFolder, held: Contents) -> dict[str, str]:
         **({"keeps": words_of(held_keeping(manifest))} if ENTRY in manifest else {}),
         "asked": "once" if len(asked) == 1 else f"{len(asked)} times",
         "parts": f"{held.parts:,}, {_size(held.size)} in all",
-        "took": f"{_duration(manifest['wall_time_s'])}, {manifest['env_steps']:,} steps",
+        "took": f"{clock_time(manifest['wall_time_s'])}, {manifest['env_steps']:,} steps",
         "versions": ", ".join(f"{name} {version}" for name, version in manifest["versions"].items()),
         "machine": ", ".join(str(machine.get("processor", "unknown")) for machine in machines)
         + (f" ({len(machines)} kinds mixed: last bits may differ)" if len(machines) > 1 else ""),
@@ -90,7 +91,7 @@ def _row(folder: RunFolder, below: Path) -> tuple[str, ...]:
         "" if seeds is None else str(seeds),
         f"{done}{folder.cells:,}",
         folder.state,
-        _duration(folder.manifest["wall_time_s"]),
+        clock_time(folder.manifest["wall_time_s"]),
         _date(folder.changed),
     )
 
@@ -102,12 +103,6 @@ def _listed(values: Sequence[Any]) -> str:
 
 def _date(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
-
-
-def _duration(seconds: float) -> str:
-    whole = round(seconds)
-    hours, minutes = divmod(whole // 60, 60)
-    return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
 
 
 def _size(count: float) -> str:

@@ -7,7 +7,7 @@ import itertools
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,20 @@ import numpy as np
 from gpcjax.engine.pool import Pool, Resumed
 from gpcjax.engine.snapshots import NotResumed, Snapshot, pack, unpack
 from gpcjax.errors import UserError
-from gpcjax.policies.folder import read_arrays, read_card, write_folder
-from gpcjax.sweep.checkpoints import KIND, Place, cell_as_json, cell_of
+from gpcjax.policies.folder import LARGEST_ARRAY, read_arrays, read_card, write_folder
+from gpcjax.sweep.checkpoints import KIND, Place, runs_as_json, runs_of
 from gpcjax.sweep.keeping import KeptRow
+from gpcjax.sweep.packing import compressed, expanded
 from gpcjax.sweep.plan import Cell
 
 SHARE = 0.02
 """Of its time that a worker may spend on checkpoints: large ones are written less often."""
+
+KEPT = "kept"
+"""Name of the array that says what is kept; those of its pieces begin with it."""
+
+PIECE = LARGEST_ARRAY // 2
+"""Bytes of what is kept that are one array."""
 
 Kept = dict[Cell, list[KeptRow]]
 """What is to be kept of runs that are under way, so far."""
@@ -72,6 +79,14 @@ class Checkpointer:
             self._forget()
             self._written = path
 
+    def close(self) -> str | None:
+        """The name of the last checkpoint, which helps nobody once all rows of the pool are stored; None without one.
+
+        It stays until then: whoever stores the rows removes it.
+        """
+        written, self._written = self._written, None
+        return None if written is None else written.name
+
     def _forget(self) -> None:
         if self._written is not None:
             shutil.rmtree(self._written, ignore_errors=True)
@@ -112,32 +127,58 @@ class Saved:
 
 
 def _packed(snapshots: Iterable[Snapshot], kept: Kept) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Card and arrays. The card stays small, however many runs there are and however much is kept of each."""
     snapshots = list(snapshots)
     arrays, lanes = pack(snapshots)
-    runs = []
-    for index, snapshot in enumerate(snapshots):
-        lane, rows = snapshot.lane, kept.get(snapshot.name, [])
-        steps = int(np.asarray(lane.rows.length).sum()) + int(lane.env.time)
-        told = [
-            {"episode": row.episode, "returns": row.returns, "kind": row.kind, "card": row.card}
-            for row in rows
-        ]
-        runs.append({"cell": cell_as_json(snapshot.name), "steps": steps, "kept": told})
-        for number, row in enumerate(rows):
-            arrays[f"kept.{index}.{number}"] = np.frombuffer(row.arrays, np.uint8)
-    return {"runs": runs, "lanes": lanes}, arrays
+    runs = [
+        (snapshot.name, int(np.asarray(snapshot.lane.rows.length).sum()) + int(snapshot.lane.env.time))
+        for snapshot in snapshots
+    ]
+    return {"runs": runs_as_json(runs), "lanes": lanes}, arrays | _kept_arrays(
+        [kept.get(snapshot.name, []) for snapshot in snapshots]
+    )
+
+
+def _kept_arrays(kept: Sequence[Sequence[KeptRow]]) -> dict[str, np.ndarray]:
+    """What is kept of each run as arrays of bytes: what the rows are, then their arrays, one behind the other."""
+    every = [row for rows in kept for row in rows]
+    if not every:  # a checkpoint takes no array without entries
+        return {}
+    cards = {card: place for place, card in enumerate(dict.fromkeys(row.card for row in every))}
+    rows = [
+        [[row.episode, row.returns, row.kind, cards[row.card], len(row.arrays)] for row in rows]
+        for rows in kept
+    ]
+    content = np.frombuffer(b"".join(row.arrays for row in every), np.uint8)
+    pieces = [content[first : first + PIECE] for first in range(0, len(content), PIECE)]
+    told = np.frombuffer(compressed({"cards": list(cards), "rows": rows}), np.uint8)
+    return {KEPT: told, **{f"{KEPT}.{place}": piece for place, piece in enumerate(pieces)}}
+
+
+def _kept_rows(arrays: dict[str, np.ndarray], runs: int) -> list[list[KeptRow]]:
+    """What `_kept_arrays` was given, out of all arrays, which are without it then. Raises KeyError or ValueError."""
+    told = arrays.pop(KEPT, None)
+    if told is None:
+        return [[] for _ in range(runs)]
+    names = [name for name in arrays if name.startswith(f"{KEPT}.")]
+    pieces = [arrays.pop(f"{KEPT}.{place}") for place in range(len(names))]
+    content, first, found = b"".join(piece.tobytes() for piece in pieces), 0, []
+    known = expanded(told.tobytes())
+    for rows in known["rows"]:
+        found.append([])
+        for episode, returns, kind, card, size in rows:
+            row = KeptRow(episode, returns, kind, known["cards"][card], content[first : first + size])
+            found[-1].append(row)
+            first += size
+    if first != len(content) or len(found) != runs:
+        raise ValueError("what is kept is not what the card says")
+    return found
 
 
 def _unpacked(path: Path, pool: Pool) -> tuple[list[Snapshot], list[list[KeptRow]]]:
-    """Raises UserError or NotResumed."""
+    """Raises UserError, NotResumed, KeyError, IndexError, TypeError or ValueError."""
     card = read_card(path, KIND)
     arrays = read_arrays(path, card, KIND)
-    rows = [
-        [
-            KeptRow(**row, arrays=arrays.pop(f"kept.{index}.{number}").tobytes())
-            for number, row in enumerate(run["kept"])
-        ]
-        for index, run in enumerate(card["runs"])
-    ]
-    names = [cell_of(run["cell"]) for run in card["runs"]]
-    return unpack(arrays, card["lanes"], names, pool.shapes), rows
+    cells = [cell for cell, _ in runs_of(card)]
+    rows = _kept_rows(arrays, len(cells))
+    return unpack(arrays, card["lanes"], cells, pool.shapes), rows

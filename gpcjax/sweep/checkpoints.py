@@ -3,15 +3,17 @@
     OUT/checkpoints/TIME-PID-NUMBER/    a folder of `gpcjax.policies.folder`: arrays by orbax, a card, their sums
 
 A worker writes such a folder every now and then, with all runs that it has at that moment, and then removes the one
-before. Its card lists their cells, and how far each of them is. Nothing in it is part of what a sweep found: whatever
-is not whole, or of other versions, costs the time that it would have saved. Only machines of the kind that wrote it go
-on with it: on others the bits would be neither of the two.
+before; the last one of a program goes when all its rows are stored. Its card lists their cells, and how far each of
+them is. Nothing in it is part of what a sweep found: whatever is not whole, or of other versions, costs the time that
+it would have saved. Only machines of the kind that wrote it go on with it: on others the bits would be neither of the
+two.
 """
 
+import base64
 import contextlib
 import dataclasses
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.layout import CHECKPOINTS, Say, is_checkpoint, is_unfinished_checkpoint
+from gpcjax.sweep.packing import compressed, expanded
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.runfolder import set_aside
@@ -45,6 +48,9 @@ HERE = ""
 SNAPSHOTS = 2
 """The format of what is in a checkpoint, `gpcjax.engine.snapshots.FORMAT`: those of another one go without a word."""
 
+LAYOUT = 2
+"""Of cells and of what is kept of them in a checkpoint, likewise."""
+
 
 def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
     """What runs must agree in to go on from a checkpoint, beside their cells."""
@@ -52,6 +58,7 @@ def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> 
         "versions": dict(versions),
         "machine": machine,
         "snapshots": SNAPSHOTS,
+        "layout": LAYOUT,
         "keeping": None if keeping is None else dataclasses.asdict(keeping),
     }
 
@@ -67,6 +74,18 @@ def cell_of(entries: Mapping[str, Any]) -> Cell:
     series = {name: tuple(map(float, entries.get(name, ()))) for name in ("rate_schedule", *SCALES)}
     start = Source(**entries["start"]) if entries.get("start") else None
     return Cell(**{**entries, "hyperparameters": hyperparameters, **series, "start": start})
+
+
+def runs_as_json(runs: Iterable[tuple[Cell, int]]) -> str:
+    """Cells and the steps that each has made, for a card: one text, which thousands of them fit in."""
+    told = [{"cell": cell_as_json(cell), "steps": steps} for cell, steps in runs]
+    return base64.b64encode(compressed(told)).decode()
+
+
+def runs_of(card: Mapping[str, Any]) -> list[tuple[Cell, int]]:
+    """What `runs_as_json` was given. Raises KeyError, TypeError or ValueError for others."""
+    told = expanded(base64.b64decode(card["runs"], validate=True))
+    return [(cell_of(each["cell"]), int(each["steps"])) for each in told]
 
 
 def survey(out: Path, is_missing: Callable[[Cell], bool], agree: Mapping[str, Any], say: Say) -> Places:
@@ -136,6 +155,12 @@ def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, P
     return {cell: Place(name, index) for index, (cell, _) in enumerate(_runs(whole, {})[1])}
 
 
+def remove(out: Path, name: str) -> None:
+    """A checkpoint of which all runs are stored."""
+    if is_checkpoint(name):
+        shutil.rmtree(out / CHECKPOINTS / name, ignore_errors=True)
+
+
 def remove_all(out: Path) -> None:
     """The checkpoints of a sweep that has come to its end."""
     for name in names_in(out / CHECKPOINTS):
@@ -153,6 +178,6 @@ def _runs(path: Path, agree: Mapping[str, Any]) -> tuple[Any, list[tuple[Cell, i
     card = read_card(path, KIND)
     if card["kind"] != KIND:
         raise ValueError("no checkpoint")
-    runs = [(cell_of(each["cell"]), int(each["steps"])) for each in card["runs"]]
     wanted = {name: value for name, value in agree.items() if name != "machine"}
-    return card.get("machine"), runs if {name: card.get(name) for name in wanted} == wanted else []
+    agrees = {name: card.get(name) for name in wanted} == wanted
+    return card.get("machine"), runs_of(card) if agrees else []

@@ -88,7 +88,7 @@ class Episodes:
             {name: frame[name].to_numpy() for name in ("seed", *_MEASURED[:-1])},
             _coded(frame, "status"),
         )
-        return _joined(str(frame["env"].iloc[0]), [part], [])[0]
+        return _joined(str(frame["env"].iloc[0]), [part], [], [False])[0]
 
 
 def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
@@ -99,19 +99,20 @@ def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
     """
     manifest = read_manifest(out)
     varying, found, values = tuple(manifest["varying"]), Found(), Values()
-    env, parts, names = "", [], []
+    env, parts, names, again = "", [], [], []
     for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
         table = part.tables[EPISODES]
         if len(table):
             env = env or str(table.column("env")[0])
             parts.append(_of_table(table, varying, values))
             names.append(part.name)
+            again.append(part.again)
     if found.damaged and not parts:
         path, what = next(iter(found.damaged.items()))
         raise UserError(
             f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
         )
-    episodes, found.repeated = _joined(env, parts, names) if parts else (None, 0)
+    episodes, found.repeated = _joined(env, parts, names, again) if parts else (None, 0)
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return episodes, manifest
 
@@ -166,9 +167,12 @@ def _of_table(table: pa.Table, varying: Sequence[str], values: Values) -> _Part:
     )
 
 
-def _joined(env: str, parts: list[_Part], names: Sequence[str]) -> tuple[Episodes, int]:
-    """All parts, whose codes mean the same, and how many cells were left out: those that an earlier part holds too.
+def _joined(
+    env: str, parts: list[_Part], names: Sequence[str], again: Sequence[bool]
+) -> tuple[Episodes, int]:
+    """All parts, whose codes mean the same, and how many cells are there twice: those of an earlier part count.
 
+    No wonder is what comes `again`, by part: of those that came while the others were read.
     The list is emptied on the way: of what it held nothing stays twice in memory.
     """
     *_, latest = parts
@@ -202,12 +206,11 @@ def _joined(env: str, parts: list[_Part], names: Sequence[str]) -> tuple[Episode
         parts=tuple(names),
         **columns,
     )
-    repeated = len(seeds) - len(once)
-    if repeated:
-        kept = np.zeros(len(seeds), bool)
-        kept[once] = True
-        made = made.of_cells(kept)
-    return made, repeated
+    if len(once) == len(seeds):
+        return made, 0
+    kept = np.zeros(len(seeds), bool)
+    kept[once] = True
+    return made.of_cells(kept), int(np.sum(~kept & ~np.asarray(again)[part]))
 
 
 def _coded(frame: pd.DataFrame, name: str) -> Coded:

@@ -2,6 +2,7 @@
 
 import heapq
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 from gpcjax.registry import find
@@ -106,6 +107,14 @@ def _last_end(
     """When the last worker ends, as what is `free` of each program is handed out from these `ends` on."""
     last, at_first = 0.0, dict(free)
     taken = {index for _, index in ends if index >= 0}
+    fresh = deque(each for each in free if each not in taken)
+    cells = {
+        each: works[each].cells - works[each].begun if seconds else 0.0 for each, seconds in free.items()
+    }
+    least = {each: least_to_join(works[each].env) for each in free}
+    shared = [(-number, each) for each, number in cells.items()]
+    """The programs by their cells, the most first; those whose cells have become fewer since are there again."""
+    heapq.heapify(shared)
     heapq.heapify(ends)
     while ends:
         now, index = heapq.heappop(ends)
@@ -113,22 +122,24 @@ def _last_end(
         if free.get(index, 0.0) > 0:  # a part of what is left of its program, in several takings
             some = min(free[index], max(free[index] / (2 * jobs), 0.05))
             free[index] -= some
+            whole = works[index].cells - works[index].begun
+            cells[index] = whole * free[index] / at_first[index] if free[index] else 0.0
+            heapq.heappush(shared, (-cells[index], index))
             heapq.heappush(ends, (now + some, index))
             continue
-        fresh = [each for each in free if each not in taken]
-        least = {each: least_to_join(works[each].env) for each in free}
-        cells = {
-            each: (works[each].cells - works[each].begun) * seconds / at_first[each] if seconds else 0.0
-            for each, seconds in free.items()
-        }
-        shared = [each for each in free if cells[each] >= least[each]]
-        if fresh or shared:
-            index = fresh[0] if fresh else max(shared, key=lambda each: cells[each])
-            taken.add(index)
-            # Who joins late hardly gets to the larger tiers.
-            told = works[index].paces.compiled or not works[index].steps
-            tiers = costs.tiers(works[index].algo, works[index].episodes) if told and not fresh else 1
-            heapq.heappush(ends, (now + to_compile[index] / tiers, index))
+        joins = not fresh
+        if fresh:
+            index = fresh.popleft()
+        else:
+            while shared and (-shared[0][0] != cells[shared[0][1]] or -shared[0][0] < least[shared[0][1]]):
+                heapq.heappop(shared)
+            if not shared:
+                continue
+            index = shared[0][1]
+        # Who joins late hardly gets to the larger tiers.
+        told = works[index].paces.compiled or not works[index].steps
+        tiers = costs.tiers(works[index].algo, works[index].episodes) if told and joins else 1
+        heapq.heappush(ends, (now + to_compile[index] / tiers, index))
     return last
 
 

@@ -28,6 +28,7 @@ class JsonLines:
     | `left_s`       | estimated                                                                |
     | `compile_s`    | of these, in which workers compile: the longest of them                  |
     | `compiling`    | whether a worker has been compiling for a while                          |
+    | `complete`     | of "end" alone: whether all cells came, and not a failure or Ctrl-C      |
     """
 
     name: str
@@ -49,7 +50,7 @@ class JsonLines:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._say("end")
+        self._say("end", complete=kind is None)
 
     def show(self, state: State) -> None:
         self._state = state
@@ -57,7 +58,7 @@ class JsonLines:
             self._last = self.clock()
             self._say("progress")
 
-    def _say(self, event: str) -> None:
+    def _say(self, event: str, **further: bool) -> None:
         line = {
             "event": event,
             "sweep": self.name,
@@ -68,5 +69,6 @@ class JsonLines:
             "left_s": round(seconds_left(self._state.works, self.jobs), 3),
             "compile_s": round(compiling_left(self._state.works, self.jobs), 3),
             "compiling": self._state.compiling,
+            **further,
         }
         print(json.dumps(line), file=self.stream or sys.stdout, flush=True)

@@ -9,6 +9,7 @@ import pandas as pd
 
 from gpcjax.allowed import shown, suggestion
 from gpcjax.errors import UserError
+from gpcjax.sweep.layout import Say, warn
 from gpcjax.sweep.reading import read_kept
 
 Kind = Literal["policy", "state"]
@@ -20,18 +21,19 @@ PACKED = ("kind", "card", "arrays")
 _MOST_SHOWN = 6
 
 
-def kept_rows(folder: Path, kind: Kind, where: Mapping[str, Any]) -> pd.DataFrame:
+def kept_rows(folder: Path, kind: Kind, where: Mapping[str, Any], say: Say = warn) -> pd.DataFrame:
     """What was kept in a run folder of the runs that `where` names, a row for each, in the order of `load`.
 
     Args:
         folder: the run folder.
         kind: what is wanted; a state is a policy, too.
         where: columns, and the values that are wanted, one or several.
+        say: takes a line for what is damaged; a command tells it, a Python call warns.
 
     Raises:
         UserError: nothing was kept there, or no column is called so.
     """
-    frame = read_kept(folder)
+    frame = read_kept(folder, say)
     if len(frame) and kind == "state":
         frame = frame.loc[frame["kind"] == kind]
     if frame.empty:

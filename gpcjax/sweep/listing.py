@@ -78,10 +78,11 @@ def run_folders(below: Path) -> Iterator[RunFolder]:
     """The run folders in a folder, at most `DEPTH` deep, in the order of their names.
 
     Raises:
-        UserError: there is no such folder.
+        UserError: there is no such folder, or it cannot be read.
     """
     if not below.is_dir():
         raise UserError(f"{below}: no such folder, give one that holds run folders (without one: runs)")
+    names_in(below)
     for path in _with_manifest(below, DEPTH):
         yield look(path)
 
@@ -237,11 +238,19 @@ def _written(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 
+def _listed(folder: Path) -> list[str]:
+    """What lies in a folder; nothing where it may not be read, which is no reason to list no other."""
+    try:
+        return names_in(folder)
+    except UserError:
+        return []
+
+
 def _with_manifest(folder: Path, depth: int) -> Iterator[Path]:
-    if (folder / MANIFEST).is_file():
+    if os.path.isfile(folder / MANIFEST):
         yield folder
         return
     if depth:
-        for name in names_in(folder):
+        for name in _listed(folder):
             if not name.startswith(".") and os.path.isdir(folder / name):
                 yield from _with_manifest(folder / name, depth - 1)

@@ -12,6 +12,7 @@ from typing import Any
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.checkpoints import remove_all
 from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.keeping import ENTRY, held_keeping, words_of
 from gpcjax.sweep.layout import BESIDE, EPISODES, MANIFEST, SHARDS, tell
@@ -25,7 +26,7 @@ from gpcjax.sweep.runfolder import check_sweep, clean_parts, make_writable
 from gpcjax.sweep.shards import Shard, held_shard
 from gpcjax.sweep.spec import from_dict
 
-UNKNOWN = "unknown"
+UNTOLD = "untold"
 """What is kept of the runs of a folder whose manifest does not say."""
 
 Keys = set[tuple[Any, ...]]
@@ -72,7 +73,7 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
     names = tuple(first["varying"])
     wanted = {key_of(cell, names) for spec in specs for cell in plan(spec)}
     _refuse_gaps(shares, wanted)
-    before = _before(out, first)
+    before = _before(out, shares)
     if before is None:
         check_sweep(out, specs[0], copied=hashes(first))
     make_writable(out)
@@ -85,6 +86,7 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
                 if name not in stored and not cells <= there:
                     _copy(share.folder, out, name)
         write_manifest(out, _merged(shares, before, len(wanted)))
+        remove_all(out)  # of a plain sweep that was under way there
     return out
 
 
@@ -140,11 +142,9 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, {first.folder} is {first.shard}: give shards of one number"
             )
-        kept, its = (each.manifest.get(ENTRY, UNKNOWN) for each in (first, share))
-        if UNKNOWN not in (kept, its) and kept != its:
-            kept, its = (words_of(held_keeping(each.manifest)) for each in (first, share))
+        if keeps := _keeps_other(share.manifest, first.manifest):
             raise UserError(
-                f"{share.folder}: of its runs it keeps {its}, {first.folder} {kept}: run one again into a new folder"
+                f"{share.folder}: {keeps[0]}, {first.folder} {keeps[1]}: run one again into a new folder"
             )
         for name, version in first.manifest["versions"].items():
             other = share.manifest["versions"].get(name)
@@ -167,6 +167,15 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             f"shards {', '.join(missing[:10])}{more} of {first.shard.of} are missing: run them, or give their folders"
         )
     return shares
+
+
+def _keeps_other(manifest: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str] | None:
+    """What each of two folders keeps of its runs, in words; None if it is the same, or one does not say."""
+    kept = [each.get(ENTRY, UNTOLD) for each in (manifest, other)]
+    if UNTOLD in kept or kept[0] == kept[1]:
+        return None
+    its, others = (words_of(held_keeping(each)) for each in (manifest, other))
+    return f"of its runs it keeps {its}", others
 
 
 def _other_requests(first: _Share, share: _Share) -> str:
@@ -208,15 +217,18 @@ def _refuse_gaps(shares: Iterable[_Share], wanted: Keys) -> None:
         )
 
 
-def _before(out: Path, first: Mapping[str, Any]) -> dict[str, Any] | None:
+def _before(out: Path, shares: Sequence[_Share]) -> dict[str, Any] | None:
     """The manifest of the whole where there is one already: of the same sweep, before it grew perhaps."""
     if not (out / MANIFEST).exists():
         return None
-    manifest = read_manifest(out)
+    manifest, first = read_manifest(out), shares[0].manifest
     if held_shard(manifest) is not None or not hashes(manifest).keys() <= hashes(first).keys():
         raise UserError(f"{out}: it holds another sweep than the shards, give a new folder (--out)")
     if manifest["versions"] != first["versions"]:
         raise UserError(f"{out}: it was made with other versions than the shards, give a new folder (--out)")
+    for share in shares:
+        if keeps := _keeps_other(manifest, share.manifest):
+            raise UserError(f"{out}: {keeps[0]}, the shards {keeps[1]}: give a new folder (--out)")
     return manifest
 
 

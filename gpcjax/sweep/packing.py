@@ -1,10 +1,31 @@
 """Arrays as bytes beside a card of JSON values: how the store keeps what was learned. Loads no jax."""
 
 import json
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+MOST_TEXT = 2**30
+"""Bytes of JSON that are expanded from compressed ones."""
+
+
+def compressed(value: Any) -> bytes:
+    """A JSON value in few bytes, however much of it is said again and again."""
+    return zlib.compress(json.dumps(value, separators=(",", ":")).encode())
+
+
+def expanded(data: bytes) -> Any:
+    """What `compressed` was given. Raises ValueError."""
+    expander = zlib.decompressobj()
+    try:
+        text = expander.decompress(data, MOST_TEXT)
+    except zlib.error as error:
+        raise ValueError(f"bytes that are not compressed JSON ({error})") from None
+    if not expander.eof:
+        raise ValueError("compressed JSON that is cut, or too long")
+    return json.loads(text)
 
 
 def packed(card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[str, bytes]:

@@ -16,7 +16,7 @@ from gpcjax.sweep.atomic import target_of
 from gpcjax.sweep.growth import Filled, hashes, requests
 from gpcjax.sweep.layout import BESIDE, CORRECTIONS, EPISODES, Say, parse_part
 from gpcjax.sweep.rows import correction_column
-from gpcjax.sweep.sealing import Damage, Origin, beside, decoded, opened, replaced_by, seal_of
+from gpcjax.sweep.sealing import Damage, Origin, beside, columns_of, decoded, opened, replaced_by, seal_of
 from gpcjax.sweep.unsealed import are_corrections, may_hold_unsealed, unsealed_tables
 
 
@@ -30,6 +30,8 @@ class Part(NamedTuple):
     """None in format 2."""
     size: int
     """Bytes of all its files."""
+    again: bool = False
+    """Whether it came while the others were read: it may hold the rows of some that were given already."""
 
 
 @dataclass
@@ -75,7 +77,8 @@ def whole_parts(
     """Every part of the sweep in `out` that is whole, in the order of their names; the rest goes into `found`.
 
     A part counts as whole if each of its files is, whichever of them are wanted. Parts that hold the rows of others
-    come first.
+    come first, the newest of them before those that it was made of. Where a part goes meanwhile, those that have come
+    since are read too.
 
     Args:
         out: the run folder. A sweep may be writing there.
@@ -87,39 +90,59 @@ def whole_parts(
     Raises:
         UserError: a file cannot be read, whatever it holds.
     """
-    names = names_in(out / EPISODES)
-    replacing = {name: others for name in names if parse_part(name) and (others := replaced_by(out, name))}
+    listed: set[str] = set()
     replaced: set[str] = set()
-    for name in [*replacing, *(name for name in names if name not in replacing)]:
-        path = out / EPISODES / name
-        if name in replaced and path.is_file():
-            found.replaced.append(name)
-            continue
-        if name in skip:
-            replaced.update(replacing.get(name, ()))
-            continue
-        try:
-            if not path.is_file():
+    again = gone = False
+    while names := [name for name in names_in(out / EPISODES) if name not in listed]:
+        listed.update(names)
+        replacing = {
+            name: others for name in names if parse_part(name) and (others := replaced_by(out, name))
+        }
+        for name in sorted(names, key=lambda name: _rank(name, replacing)):
+            path = out / EPISODES / name
+            if name in replaced and path.is_file():
+                found.replaced.append(name)
+                replaced.update(replacing.get(name, ()))
+                continue
+            if name in skip:
+                replaced.update(replacing.get(name, ()))
+                continue
+            try:
+                if not path.is_file():
+                    if path.is_symlink() or path.exists():
+                        found.foreign.append(f"{EPISODES}/{name}")
+                    else:
+                        gone = True
+                    continue
+                part = part_of(out, name, manifest, wanted)
+            except Damage as damage:
                 if path.is_symlink() or path.exists():
-                    found.foreign.append(f"{EPISODES}/{name}")
-                continue  # or it was set aside just now
-            part = part_of(out, name, manifest, wanted)
-        except Damage as damage:
-            if path.is_symlink() or path.exists():
-                found.damaged[f"{damage.folder}/{name}"] = str(damage)
-            continue
-        if part is None:
-            found.foreign.append(f"{EPISODES}/{name}")
-            continue
-        replaced.update(replacing.get(name, ()))
-        yield part
-    old = set(names) if may_hold_unsealed(manifest) else set()
+                    found.damaged[f"{damage.folder}/{name}"] = str(damage)
+                else:
+                    gone = True
+                continue
+            if part is None:
+                found.foreign.append(f"{EPISODES}/{name}")
+                continue
+            replaced.update(replacing.get(name, ()))
+            yield part._replace(again=again)
+        if not gone:
+            break
+        # It was set aside just now, or its rows are in a part that was not there yet when the names were read.
+        again, gone = True, False
+    old = listed if may_hold_unsealed(manifest) else set()
     found.foreign += [
         f"{folder}/{name}"
         for folder in BESIDE
         for name in names_in(out / folder)
         if parse_part(name) is None and name not in old
     ]
+
+
+def _rank(name: str, replacing: Container[str]) -> tuple[int, str]:
+    """The newest of those that hold the rows of others first, then the rest by their names."""
+    named = parse_part(name)
+    return (0 if named is None or name not in replacing else -1 - named.number, name)
 
 
 def origins_of(out: Path) -> list[Origin]:
@@ -134,6 +157,23 @@ def origins_of(out: Path) -> list[Origin]:
             if part := opened(out, name):
                 found.append(part.origin)
     return found
+
+
+def refuse_measured(out: Path, manifest: Mapping[str, Any], names: Container[str]) -> None:
+    """Refuse a folder whose rows have one of these settings as a column already: what a learner of one's own measured.
+
+    Raises:
+        UserError: they have, and what was measured would be taken for the setting.
+    """
+    for part in names_in(out / EPISODES):
+        named = parse_part(part)
+        if named is not None and named.hash in hashes(manifest):
+            for column in columns_of(out, part):
+                if column in names:
+                    raise UserError(
+                        f"{out}: {column} varies now, and a learner has measured a {column} there: give a new folder "
+                        "(--out)"
+                    )
 
 
 def orphans(out: Path) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from gpcjax.registry import built_in
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT, Say, warn
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
-from gpcjax.sweep.rows import IDENTITY, cells_of, correction_column
+from gpcjax.sweep.rows import IDENTITY, cells_of, correction_column, of_cells
 from gpcjax.sweep.runfolder import check_report
 
 
@@ -187,19 +187,9 @@ def _parts_once(
     for part in whole_parts(out, manifest, found, wanted):
         cells = cells_of(part.tables[EPISODES], keys)
         new, old = cells - seen, cells & seen
-        found.repeated += len(old)
+        found.repeated += 0 if part.again else len(old)
         seen |= new
-        tables = {}
-        for folder, table in part.tables.items():
-            names = list(map(correction_column, keys)) if folder == CORRECTIONS else keys
-            tables[folder] = _of_cells(table, names, new) if old else table
-        yield part.name, tables
-
-
-def _of_cells(table: pa.Table, keys: Sequence[str], cells: set[tuple[Any, ...]]) -> pa.Table:
-    """The rows of these cells alone."""
-    each = zip(*(table.column(name).to_pylist() for name in keys), strict=True)
-    return table.filter(pa.array([key in cells for key in each], pa.bool_()))
+        yield part.name, of_cells(part.tables, keys, new) if old else part.tables
 
 
 def _frame(tables: Sequence[pa.Table], varying: Sequence[str], order: Sequence[str]) -> pd.DataFrame:

@@ -1,6 +1,6 @@
 """What a finished cell leaves, and the tables that are made of it: each column is named here. Loads no jax."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from gpcjax.registry import find
-from gpcjax.sweep.growth import setting_of
+from gpcjax.sweep.boxes import setting_of
 from gpcjax.sweep.keeping import KeptRow
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT
 from gpcjax.sweep.plan import Cell
@@ -95,6 +95,18 @@ def cells_of(table: pa.Table, columns: Sequence[str]) -> set[tuple[Any, ...]]:
     """The values of the key columns that occur, each once."""
     unique = table.select(list(columns)).group_by(list(columns), use_threads=False).aggregate([])
     return set(zip(*(unique.column(name).to_pylist() for name in columns), strict=True))
+
+
+def of_cells(
+    tables: Mapping[str, pa.Table], keys: Sequence[str], cells: Container[tuple[Any, ...]]
+) -> dict[str, pa.Table]:
+    """The rows of these cells alone of the tables of a part, by their folder; `keys` are the key columns."""
+    found = {}
+    for folder, table in tables.items():
+        names = list(map(correction_column, keys)) if folder == CORRECTIONS else keys
+        each = zip(*(table.column(name).to_pylist() for name in names), strict=True)
+        found[folder] = table.filter(pa.array([key in cells for key in each], pa.bool_()))
+    return found
 
 
 def _episodes(rows: Sequence[CellRows]) -> tuple[list[int], dict[str, pa.Array]]:

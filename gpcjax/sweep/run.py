@@ -1,51 +1,32 @@
-"""One sweep from its specification to a complete store. The parent process loads no jax.
-
-Over 300 lines: a third of them make and mend the manifest, which belongs to the order in which a sweep begins.
-"""
+"""One sweep from its specification to a complete store. The parent process loads no jax."""
 
 import threading
-import time
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from gpcjax.allowed import checked, checked_path
-from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
-from gpcjax.sweep import experience, machine, stopping
+from gpcjax.sweep import machine
+from gpcjax.sweep.beforehand import check, check_folder
 from gpcjax.sweep.beginning import begun
-from gpcjax.sweep.blocks import Block
-from gpcjax.sweep.checkpoints import Places, remove_all, survey, told
-from gpcjax.sweep.environment import cache_folder
-from gpcjax.sweep.executors import Desk, Executor, Orders, Processes, Totals, executor_of
+from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.executors import Executor, Orders, Processes, executor_of
 from gpcjax.sweep.fitting import left_out
-from gpcjax.sweep.growth import covering, grown, requests
-from gpcjax.sweep.keepable import check_keeping, check_kept, refuse_other
-from gpcjax.sweep.keeping import ENTRY, Keeping, as_json, keeping_of
-from gpcjax.sweep.labels import labels_of
-from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED, FORMAT, MANIFEST, tell
+from gpcjax.sweep.going import Going
+from gpcjax.sweep.growth import requests
+from gpcjax.sweep.keepable import refuse_other
+from gpcjax.sweep.keeping import ENTRY, Keeping, keeping_of
+from gpcjax.sweep.layout import CHECKPOINTS, MANIFEST, tell
 from gpcjax.sweep.lock import held
-from gpcjax.sweep.manifest import DamagedManifest, read_manifest, write_manifest
-from gpcjax.sweep.notebook import usual_watcher
+from gpcjax.sweep.opening import asked, begin
 from gpcjax.sweep.options import OPTIONS
-from gpcjax.sweep.parts import origins_of
-from gpcjax.sweep.plan import Cell, count, default_out, hash_of, plan, specification_hash, varying
-from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.runfolder import check_sweep, own_parts, set_aside
-from gpcjax.sweep.sealing import Origin
-from gpcjax.sweep.shards import Shard, check_shard, shard_of, share_of
-from gpcjax.sweep.siblings import asked_before
-from gpcjax.sweep.sofar import SoFar
-from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict, spec_of
+from gpcjax.sweep.origin import note_machine, refuse_other_versions
+from gpcjax.sweep.plan import Cell, default_out, plan
+from gpcjax.sweep.shards import Shard, shard_of, share_of
+from gpcjax.sweep.spec import SweepSpec, from_dict, spec_of
 from gpcjax.sweep.store import Store
-from gpcjax.sweep.telling import State, Watcher
-from gpcjax.sweep.versions import versions
-
-FLUSH_SECONDS = 2.0
-"""Finished rows wait at most this long in memory."""
-
-UNKNOWN = "unknown, the manifest that said it was lost"
-"""The machine of rows that this one has not computed: they tell of which kind it was, not which."""
+from gpcjax.sweep.telling import Watcher
 
 
 def sweep(
@@ -91,25 +72,14 @@ def sweep(
     executor = executor or executor_of(engine, address, None if jobs == 1 else jobs)
     share = None if shard is None else shard_of(shard, "shard")
     keeping = keeping_of(keep, keep_at)
-    check_keeping(keeping, spec)
     seconds = checked("checkpoint", checkpoint, float, OPTIONS["checkpoint"].allowed)
     folder = folder if share is None else share.folder(folder)
-    check_sweep(folder, spec)
-    check_shard(folder, share, count(spec))
-    check_kept(folder, keeping, spec)
-    _check_start(spec)
+    check(folder, spec, keeping, share)
     for line in left_out(spec.env) if "algo" not in settings else ():
         tell(line)
     with begun(folder):
         run(spec, folder, jobs, executor, keeping=keeping, checkpoint=seconds, shard=share)
     return folder
-
-
-def _check_start(spec: SweepSpec) -> None:
-    if spec.start is not None:
-        from gpcjax.sweep.sources import check_start  # which reads run folders
-
-        check_start(spec)
 
 
 def run(
@@ -144,19 +114,14 @@ def run(
         Failure: a worker failed; what was finished is kept.
     """
     with held(out):
-        check_sweep(out, spec, grows)  # again: somebody may have been faster
+        check_folder(out, spec, keeping, shard, grows)  # again: somebody may have been faster
+        is_new = not (out / MANIFEST).exists()
+        manifest, request = asked(begin(spec, out, keeping, shard), spec, out, shard, say)
         cells = plan(spec)
-        check_shard(out, shard, len(cells))
-        check_kept(out, keeping, spec)
-        begun = (out / MANIFEST).exists()
-        manifest, request = _asked(_manifest(spec, out, keeping, shard), spec, out, shard, say)
         if shard is not None:
-            share = set(share_of(manifest, shard))
-            if not begun:  # what the other shards were asked for before is asked for, too
-                asked = [from_dict(each["specification"]) for each in requests(manifest)]
-                cells = [*dict.fromkeys(cell for each in asked for cell in plan(each))]
-            cells = [cell for cell in cells if cell in share]
+            share = share_of(manifest, shard)
             manifest |= {"shard": shard.as_json(), "cells": len(share)}
+            cells = _of_share(share, _requested(manifest) if is_new else [spec])
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -166,8 +131,8 @@ def run(
             )
         if missing or not manifest["complete"]:
             refuse_other(out, manifest, keeping)
-            _refuse_other_versions(out, manifest)
-            _note_machine(out, manifest, here)
+            refuse_other_versions(out, manifest)
+            note_machine(out, manifest, here)
             agree = told(manifest["versions"], machine.kind_of(here), keeping)
             orders = Orders(
                 keeping=keeping,
@@ -178,7 +143,7 @@ def run(
             )
             places = survey(out, lambda cell: not store.holds(cell), agree, tell)
             executor = executor or Processes(jobs)
-            sweep = _Sweep(spec, out, manifest, store, missing, executor, orders, places, watcher)
+            sweep = Going(spec, out, manifest, store, missing, executor, orders, places, watcher)
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
@@ -186,235 +151,12 @@ def run(
         return False
 
 
-def _asked(
-    manifest: dict[str, Any], spec: SweepSpec, out: Path, shard: Shard | None, say: Callable[[str], None]
-) -> tuple[dict[str, Any], str]:
-    """The manifest of a folder that is asked for `spec`, perhaps beside what it was asked before; and the hash of that.
-
-    Nothing is written yet.
-    """
-    request = covering(manifest, spec)
-    if request is not None:
-        return manifest, request
-    larger = grown(manifest, spec)
-    if shard is not None:
-        larger["cells"] = len(share_of(larger, shard))
-    new = larger["cells"] - manifest["cells"]
-    say(f"{out}: it grows by {new:,} to {larger['cells']:,} cells")
-    return larger, specification_hash(spec)
+def _requested(manifest: Mapping[str, Any]) -> list[SweepSpec]:
+    """Of a new folder of a share, that is what the other shards were asked for before, too."""
+    return [from_dict(each["specification"]) for each in requests(manifest)]
 
 
-def _manifest(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard | None) -> dict[str, Any]:
-    """The manifest of `out`; a new one where there is none, or none that is whole."""
-    try:
-        if (out / MANIFEST).exists():
-            return read_manifest(out)
-        what = "is missing"
-    except DamagedManifest:
-        set_aside(out, out / MANIFEST)
-        what = f"was damaged and lies in {out / DAMAGED} now"
-    manifest = new_manifest(spec, varying(spec), count(spec))
-    if own_parts(out, manifest["hash"]):
-        # Its parts may be all that there is to compute, and of other versions or another machine than these.
-        manifest, origins = _recovered(manifest, origins_of(out))
-        manifest["versions"] = origins[0].versions if origins else manifest["versions"]
-        manifest["recovered"] = True
-        if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
-            manifest["machine"] = {"processor": UNKNOWN}
-        tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
-        return manifest
-    first, *further = [*([] if shard is None else asked_before(out, shard, spec)), spec]
-    manifest = new_manifest(first, varying(first), count(first))
-    for each in further:
-        manifest = grown(manifest, each)
-    if further:
-        tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
-    return manifest | {ENTRY: as_json(keeping)}
-
-
-def _recovered(manifest: dict[str, Any], origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
-    """The manifest with all that its folder was asked for, as far as parts tell, and the origins that are of it.
-
-    A part lists what had been asked when it was written: so all that names a known specification is known too.
-    """
-    known: dict[str, SweepSpec | None] = {manifest["hash"]: None}
-    while True:
-        named = {
-            hash_of(specification): specification
-            for origin in origins
-            if known.keys() & {origin.hash, *map(hash_of, origin.asked)}
-            for specification in origin.asked
-        }
-        if not named.keys() - known.keys():
-            break
-        known |= {hash_: from_dict(each) for hash_, each in named.items() if hash_ not in known}
-    for each in filter(None, known.values()):
-        if covering(manifest, each) is None:
-            manifest = grown(manifest, each)
-    return manifest, [origin for origin in origins if origin.hash in known]
-
-
-class _Sweep:
-    """A sweep while it runs: rows on their way to the store, and the manifest that grows with them."""
-
-    def __init__(
-        self,
-        spec: SweepSpec,
-        out: Path,
-        manifest: dict[str, Any],
-        store: Store,
-        missing: list[Cell],
-        executor: Executor,
-        orders: Orders,
-        places: Places,
-        watcher: Callable[..., Watcher] | None,
-    ):
-        self._spec, self._out, self._manifest = spec, out, manifest
-        self._store, self._missing = store, missing
-        self._earlier = {name: manifest[name] for name in _ACCUMULATED}
-        self._began = self._flushed = time.monotonic()
-        self._rows: list[CellRows | Block] = []
-        self._totals = Totals()
-        self._finished, self._executor = 0, executor
-        self._sofar = SoFar(missing, manifest["varying"])
-        self._desk = Desk(
-            missing,
-            baselines=self._missing_baselines(),
-            jobs=executor.jobs,
-            on_rows=self._collect,
-            on_baseline=self._keep_baseline,
-            on_progress=self._show,
-            on_note=tell,
-            orders=orders,
-            before=lambda programs: experience.of(programs, cache_folder()),
-            starts=experience.start_of(cache_folder()),
-            on_machine=lambda described: _note_machine(out, manifest, described),
-            places=places,
-        )
-        works = tuple(self._desk.works.values())
-        self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)
-
-    def run(self) -> None:
-        """Until nothing is missing."""
-        self._manifest["jobs"] = self._executor.jobs
-        self._save(complete=False)
-        with stopping.deferred():
-            with self._bar:
-                try:
-                    self._executor.run(self._desk)
-                    self._desk.refuse_less()
-                finally:
-                    self._flush()
-                    took = {program: work.took for program, work in self._desk.works.items()}
-                    known = {program: cost for program, cost in took.items() if cost is not None}
-                    experience.learn(known, cache_folder(), self._desk.started)
-            _forget_idle_machines(self._manifest, self._store.machines)
-            # What was asked for before may have been interrupted, and is not asked for now.
-            self._save(complete=self._store.cells >= self._manifest["cells"])
-            if self._manifest["complete"]:
-                remove_all(self._out)
-
-    def _missing_baselines(self) -> list[tuple[str, str]]:
-        known = self._manifest["baselines"]
-        names = [
-            *(["idle"] if known["idle"] is None else []),
-            *(n for n in self._spec.oracle if n not in known["oracles"] and n != NOBODY),
-        ]
-        return [(self._spec.env, name) for name in names]
-
-    def _collect(self, rows: CellRows | Block) -> None:
-        self._rows.append(rows)
-        for run in rows.runs:
-            self._finished += 1
-            self._sofar.add(run)
-        if time.monotonic() - self._flushed > FLUSH_SECONDS:
-            self._flush()
-
-    def _flush(self) -> None:
-        # Taken first: a Ctrl-C just after the writing must not write them twice.
-        rows, self._rows = self._rows, []
-        self._store.append(rows)
-        self._flushed = time.monotonic()
-        self._save(complete=False)
-
-    def _keep_baseline(self, name: str, numbers: dict[str, float]) -> None:
-        baselines = self._manifest["baselines"]
-        if name == "idle":
-            baselines["idle"] = numbers
-        else:
-            baselines["oracles"][name] = numbers
-
-    def _show(self, totals: Totals) -> None:
-        self._totals = totals
-        self._bar.show(State(self._finished, totals.env_steps, totals.works, totals.compiling, self._sofar))
-
-    def _save(self, complete: bool) -> None:
-        now = {
-            "wall_time_s": time.monotonic() - self._began,
-            "compile_time_s": self._totals.compile_seconds,
-            "env_steps": self._totals.env_steps,
-        }
-        self._manifest |= {name: self._earlier[name] + value for name, value in now.items()}
-        self._manifest["env_steps_per_s"] = self._manifest["env_steps"] / max(
-            self._manifest["wall_time_s"], 1e-9
-        )
-        self._manifest |= {"complete": complete, "finished": self._store.cells}
-        write_manifest(self._out, self._manifest)
-
-
-def new_manifest(spec: SweepSpec, names: list[str], cells: int) -> dict[str, Any]:
-    """The manifest of a sweep that has not run yet; `names` are its varying settings."""
-    return {
-        "format": FORMAT,
-        "hash": specification_hash(spec),
-        "specification": as_dict(spec),
-        **labels_of(spec),
-        "varying": names,
-        "cells": cells,
-        "baselines": {"idle": None, "oracles": {}},
-        "versions": versions(),
-        "machine": machine.describe(),
-        "jobs": 0,
-        **dict.fromkeys(_ACCUMULATED, 0),
-        "env_steps_per_s": 0,
-        "complete": False,
-    }
-
-
-_ACCUMULATED = ("wall_time_s", "compile_time_s", "env_steps")
-"""Numbers of the manifest that grow when an interrupted sweep goes on. Compile time is the sum over processes."""
-
-
-def _refuse_other_versions(out: Path, manifest: dict[str, Any]) -> None:
-    for name, version in versions().items():
-        before = manifest["versions"].get(name)
-        if before != version:
-            raise UserError(
-                f"{out}: it was begun with {name} {before}, this is {version}: give a new folder (--out)"
-            )
-
-
-def _note_machine(out: Path, manifest: dict[str, Any], here: Mapping[str, Any]) -> None:
-    """Adds this machine to a manifest that was begun on one of another kind, and says that bits may differ."""
-    kind = machine.kind_of(here)
-    known = [manifest["machine"], *manifest.get("further_machines", [])]
-    if kind in map(machine.kind_of, known):
-        return
-    manifest["further_machines"] = [*known[1:], here]
-    before = known[0]
-    if machine.kind_of(before):  # an old manifest does not say enough to tell
-        names = ", ".join(machine.differences(before, here))
-        tell(f"{out}: begun on another kind of machine ({names}): last bits may differ, see its manifest")
-
-
-def _forget_idle_machines(manifest: dict[str, Any], with_rows: Container[str]) -> None:
-    """Leaves those machines in the manifest that have computed rows: who hands out cells need not compute any."""
-    known = [manifest["machine"], *manifest.get("further_machines", [])]
-    kinds = [machine.kind_of(each) for each in known]
-    used = [each for each, kind in zip(known, kinds, strict=True) if not kind or kind in with_rows] or known[
-        :1
-    ]
-    manifest["machine"] = used[0]
-    manifest.pop("further_machines", None)
-    if used[1:]:
-        manifest["further_machines"] = used[1:]
+def _of_share(share: Iterable[Cell], specs: Iterable[SweepSpec]) -> list[Cell]:
+    """The cells of these specifications that are of a share, in their order."""
+    mine = set(share)
+    return [cell for cell in dict.fromkeys(cell for spec in specs for cell in plan(spec)) if cell in mine]

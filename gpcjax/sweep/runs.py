@@ -86,6 +86,12 @@ class Runs:
                 self._note(f"no checkpoint: {error}")
             self._told = True
 
+    def close(self) -> None:
+        """All runs have ended, and are handed in."""
+        name = self._checkpointer.close()
+        if name is not None:
+            self._say(("over", name))
+
     def _note(self, line: str) -> None:
         self._say(("note", line))
 

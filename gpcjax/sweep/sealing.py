@@ -22,6 +22,10 @@ _WORTH_THREADS = 1 << 20
 """Bytes from which threads decode faster than they start."""
 
 
+GROUP = 1 << 22
+"""Bytes of what is kept that are read at once."""
+
+
 class Origin(NamedTuple):
     """What rows come from beside their cell: kept in each part."""
 
@@ -69,7 +73,12 @@ def sealed(
     # Factors of matrices are half zeros: zstd finds that.
     compression = "zstd" if kind == KEPT else "snappy"
     pq.write_table(
-        table.replace_schema_metadata(schema), sink, write_page_checksum=True, compression=compression
+        table.replace_schema_metadata(schema),
+        sink,
+        write_page_checksum=True,
+        compression=compression,
+        # Of what is kept a reader wants a row here and there.
+        row_group_size=max(1, GROUP * len(table) // max(1, table.nbytes)) if kind == KEPT else None,
     )
     return sink.getvalue().to_pybytes()
 
@@ -120,6 +129,14 @@ def replaced_by(out: Path, name: str) -> tuple[str, ...]:
         Exception
     ):  # whatever Parquet's readers make of bytes that are none of theirs: found to be damaged later
         return ()
+
+
+def columns_of(out: Path, name: str) -> list[str]:
+    """Names of the columns of a part's episodes, as far as can be told without reading them."""
+    try:
+        return list(pq.read_schema(out / EPISODES / name).names)
+    except Exception:  # as above
+        return []
 
 
 def bytes_of(out: Path, folder: str, name: str) -> bytes:

@@ -17,19 +17,22 @@ from gpcjax.sweep.shards import Shard, held_shard
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
 
 
-def asked_before(out: Path, shard: Shard, spec: SweepSpec) -> list[SweepSpec]:
-    """What the other shards were asked for before `spec`, or so far where they were not; nothing if there are none."""
+def asked_with(out: Path, shard: Shard, spec: SweepSpec) -> list[SweepSpec]:
+    """All that a new folder of a share is asked for with `spec`, in the order of the other shards.
+
+    These have been asked for `spec`, or will be: so it comes last, unless they have all of it from several requests.
+    """
     hash_, found = specification_hash(spec), []
     for manifest in _siblings(out, shard):
-        asked = requests(manifest)
-        places = [place for place, each in enumerate(asked) if each["hash"] == hash_]
+        asked = [from_dict(each["specification"]) for each in requests(manifest)]
+        places = [place for place, each in enumerate(requests(manifest)) if each["hash"] == hash_]
         if contradictions(manifest["specification"], as_dict(spec)):
             continue  # another sweep's, which merging would tell
-        if places or covering(manifest, spec) is None:
-            found.append(
-                (bool(places), [from_dict(each["specification"]) for each in asked[: (places or [None])[0]]])
-            )
-    return max(found, key=lambda each: (each[0], len(each[1])), default=(False, []))[1]
+        if places:
+            found.append((True, [*asked[: places[0]], spec]))
+        elif covering(manifest, spec, together=False) is None:
+            found.append((False, asked if covering(manifest, spec) else [*asked, spec]))
+    return max(found, key=lambda each: (each[0], len(each[1])), default=(False, [spec]))[1]
 
 
 def _siblings(out: Path, shard: Shard) -> Iterator[Mapping[str, Any]]:

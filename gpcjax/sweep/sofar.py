@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gpcjax.sweep.growth import setting_of
+from gpcjax.sweep.boxes import setting_of
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.rows import Run
 

@@ -1,7 +1,8 @@
 """Folders that runs begin with: what is learned there, and which of it a run takes. Loads no jax.
 
 Such a folder is a run folder with kept states, of which the newest of each run counts, or one saved learner. Of the
-states themselves no more is in memory than one part of the folder: they may be gigabytes, and each worker reads some.
+states themselves few are in memory, neighbours in one part of the folder: they may be gigabytes, and each worker reads
+some.
 """
 
 import functools
@@ -18,15 +19,13 @@ import pyarrow.parquet as pq
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import CARD, SUMS, read_arrays, read_card
-from gpcjax.registry import find
-from gpcjax.sweep.growth import setting_of
-from gpcjax.sweep.layout import KEPT, MANIFEST, sha256
+from gpcjax.sweep.boxes import setting_of
+from gpcjax.sweep.layout import KEPT, MANIFEST, Say, sha256, tell
 from gpcjax.sweep.packing import unpacked
-from gpcjax.sweep.plan import Cell, plan
+from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.reading import kept_parts
 from gpcjax.sweep.rows import IDENTITY
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.spec import SweepSpec
 
 RELATIVES = {"gpc": ("gpc-ns",), "gpc-ns": ("gpc",)}
 """Learners that can go on with what another one has learned, beside those of their own name."""
@@ -70,6 +69,8 @@ class Contents:
 
     def __init__(self, folder: Path, states: Sequence[State], digest: str):
         self.folder, self.digest, self.states = folder, digest, states
+        self._held = list(dict.fromkeys(state.card["algo"] for state in states))
+        self._apart: dict[tuple[Any, ...], tuple[str, dict[Any, list[State]]] | None] = {}
         self._runs: dict[tuple[str, int], list[State]] = {}
         for state in states:
             if state.values:
@@ -82,7 +83,7 @@ class Contents:
             UserError: nothing here, or it does not say which; `place` begins the message.
         """
         told = f"{place} {self.folder}"
-        held = list(dict.fromkeys(state.card["algo"] for state in self.states))
+        held = self._held
         algo = next((name for name in (cell.algo, *RELATIVES.get(cell.algo, ())) if name in held), None)
         if algo is None:
             raise UserError(
@@ -99,19 +100,36 @@ class Contents:
                 f"{told}: it holds nothing that {algo} learned with seed {cell.seed}, give --seeds among those it has "
                 f"({_listed(sorted(seeds))})"
             )
-        for name in found[0].values:
-            values = list(dict.fromkeys(state.values[name] for state in found))
-            if len(values) == 1 or name in ("algo", "seed"):
-                continue
+        path: tuple[Any, ...] = (algo, cell.seed)
+        while (apart := self._told_apart(path, found)) is not None:
+            name, by_value = apart
             own = getattr(cell, name) if name in _TOLD_OF_RUN else setting_of(cell, name)
-            found = [state for state in found if state.values[name] == own]
+            found, path = by_value.get(own, []), (*path, own)
             if not found:
                 raise UserError(
-                    f"{told}: {algo} learned there with {name} {_listed(values)}, and these runs have "
+                    f"{told}: {algo} learned there with {name} {_listed(by_value)}, and these runs have "
                     f"{'no' if own is None else shown(own)} {name}: give one of them, or a folder with one alone"
                 )
         (state,) = found
         return state
+
+    def _told_apart(
+        self, path: tuple[Any, ...], found: Sequence[State]
+    ) -> tuple[str, dict[Any, list[State]]] | None:
+        """The first column in which these states differ, and they by its values; None where they differ in none.
+
+        Kept for each `path` to them: what runs ask is asked by each of them.
+        """
+        if path not in self._apart:
+            self._apart[path] = None
+            for name in found[0].values if len(found) > 1 else ():
+                by_value: dict[Any, list[State]] = {}
+                for state in found:
+                    by_value.setdefault(state.values[name], []).append(state)
+                if len(by_value) > 1:
+                    self._apart[path] = name, by_value
+                    break
+        return self._apart[path]
 
     def packed(self, state: State, place: str = "start") -> tuple[str, bytes]:
         """Card and arrays of one of the states of runs, as they were kept.
@@ -122,12 +140,10 @@ class Contents:
         assert state.place is not None
         part, episode, digest = state.place
         try:
-            rows = _part(self.folder / KEPT / part)
-            wanted = (state.values["algo"], state.values["seed"], episode)
-            columns = (rows[name].to_pylist() for name in ("algo", "seed", "episode"))
-            same = [index for index, own in enumerate(zip(*columns, strict=True)) if own == wanted]
-            found = rows.take(same)
-            pairs = zip(found["card"].to_pylist(), found["arrays"].to_pylist(), strict=True)
+            path = self.folder / KEPT / part
+            places = _places(path)[state.values["algo"], state.values["seed"], episode]
+            rows = (_group(path, group).slice(row, 1).to_pylist()[0] for group, row in places)
+            pairs = ((row["card"], row["arrays"]) for row in rows)
             return next(pair for pair in pairs if _sum(*pair) == digest)
         except (OSError, KeyError, StopIteration, pa.ArrowException):
             raise UserError(f"{place} {self.folder}: it has changed since the sweep was asked for") from None
@@ -149,9 +165,23 @@ class Contents:
 
 
 @functools.lru_cache(maxsize=1)
-def _part(path: Path) -> pa.Table:
-    """Of neighbouring runs it is the same one."""
-    return pq.ParquetFile(path).read(columns=["algo", "seed", "episode", "card", "arrays"])
+def _places(path: Path) -> dict[tuple[str, int, int], list[tuple[int, int]]]:
+    """Row group, and place in it, of what is kept in a file, by learner, seed and episode. Of neighbours it is one."""
+    found: dict[tuple[str, int, int], list[tuple[int, int]]] = {}
+    with pq.ParquetFile(path) as file:
+        for group in range(file.num_row_groups):
+            rows = file.read_row_group(group, columns=["algo", "seed", "episode"])
+            columns = (rows[name].to_pylist() for name in ("algo", "seed", "episode"))
+            for place, key in enumerate(zip(*columns, strict=True)):
+                found.setdefault(key, []).append((group, place))
+    return found
+
+
+@functools.lru_cache(maxsize=1)
+def _group(path: Path, group: int) -> pa.Table:
+    """Card and arrays of each row of a row group: of few, but in parts of 0.2.0, which have one group."""
+    with pq.ParquetFile(path) as file:
+        return file.read_row_group(group, columns=["card", "arrays"])
 
 
 def source_of(text: str, place: str) -> Source:
@@ -161,50 +191,13 @@ def source_of(text: str, place: str) -> Source:
         UserError: it is no such folder, or damaged; `place` begins the message.
     """
     folder = Path(os.path.abspath(os.path.expanduser(text)))
-    return Source(str(folder), contents_of(folder, place).digest)
+    return Source(str(folder), contents_of(folder, place, tell).digest)
 
 
-def check_start(spec: SweepSpec, place: str = "start") -> None:
-    """Refuses a sweep of which a run finds nothing to begin with, as far as that can be told without computing.
-
-    Raises:
-        UserError: a run finds nothing, or several things; or what it finds is of other sizes than the task, too
-            large for `max_capacity`, of COACH on another grid, or of D-COACH with another network or buffer.
-    """
-    if spec.start is None:
-        return
-    contents, sizes = contents_of(Path(spec.start.folder), place), find("task", spec.env).sizes
-    told, grid = f"{place} {contents.folder}", find("task", spec.env).presets.get("coach")
-    seen: set[tuple[Any, ...]] = set()
-    for cell in plan(spec):
-        state, network = contents.of(cell, place), _network(cell)
-        key = (id(state), *network.values())
-        if key in seen:
-            continue
-        seen.add(key)
-        card = state.card
-        if sizes is not None and sizes != (given := (card["obs_size"], card["action_size"])):
-            raise UserError(
-                f"{told}: it was learned with {given[0]} numbers of an observation and {given[1]} actions, "
-                f"{spec.env} has {sizes[0]} and {sizes[1]}"
-            )
-        if cell.algo == "coach" and grid is not None and (other := _other_grid(contents, state, grid, place)):
-            raise UserError(f"{told}: COACH learned there on another grid ({other}) than that of {spec.env}")
-        if network and (other := _other_network(contents, state, network, place)):
-            raise UserError(f"{told}: D-COACH learned there with {other}: give the same")
-        points = max(card.get("capacities", {}).values(), default=0)
-        if points > spec.max_capacity and state.place is None:  # which says how many there is room for
-            points = _points(contents.arrays(state, place))
-        if points > spec.max_capacity:
-            raise UserError(
-                f"{told}: a dictionary holds {points} points, give a --max-capacity of that at least"
-            )
-
-
-def contents_of(folder: Path, place: str) -> Contents:
-    """What a folder holds. Raises UserError."""
+def contents_of(folder: Path, place: str, say: Say = lambda line: None) -> Contents:
+    """What a folder holds; `say` gets a line for what is damaged. Raises UserError."""
     if (folder / MANIFEST).is_file():
-        return _of_runs(folder, place)
+        return _of_runs(folder, place, say)
     if (folder / CARD).is_file():
         card = read_card(folder, "learner")
         if card.get("kind") == "learner" and (folder / SUMS).is_file():
@@ -217,9 +210,9 @@ def contents_of(folder: Path, place: str) -> Contents:
     )
 
 
-def _of_runs(folder: Path, place: str) -> Contents:
+def _of_runs(folder: Path, place: str, say: Say) -> Contents:
     last: dict[str, State] = {}
-    for part, own, episode, card, arrays in _kept_states(folder):
+    for part, own, episode, card, arrays in _kept_states(folder, say):
         key = json.dumps(list(own.values()))
         before = last.get(key)
         if before is None or before.place is None or before.place.episode <= episode:
@@ -239,10 +232,10 @@ def _of_runs(folder: Path, place: str) -> Contents:
     return Contents(folder, states, sha256("\n".join(sorted(sums)).encode())[:12])
 
 
-def _kept_states(folder: Path) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
+def _kept_states(folder: Path, say: Say) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
     """Part, values of the columns that tell runs apart, episode, card and arrays of each state."""
     beside = (*IDENTITY, "episode", "return", "kind", "card", "arrays")
-    for part, table in kept_parts(folder):
+    for part, table in kept_parts(folder, say=say):
         names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in table.column_names if name not in beside)]
         for batch in table.to_batches(max_chunksize=64):
             columns = [
@@ -259,50 +252,6 @@ def _kept_states(folder: Path) -> Iterator[tuple[str, dict[str, Any], int, str, 
 
 def _sum(card: str, arrays: bytes) -> str:
     return sha256(card.encode() + arrays)
-
-
-def _points(arrays: Mapping[str, np.ndarray]) -> int:
-    """Of the largest dictionary."""
-    counts = [np.max(arrays[name]) for name in ("state.policy.count", "state.human.count") if name in arrays]
-    return int(max(counts, default=0))
-
-
-def _other_grid(contents: Contents, state: State, grid: Mapping[str, Any], place: str) -> str:
-    """What of COACH's grid there is another one, in words; nothing if it is the same."""
-    arrays = contents.arrays(state, place)
-    known: dict[str, Any] = {"counts": state.card.get("counts")}
-    known |= {name: arrays.get(f"learner.grid.{name}") for name in ("lower", "upper")}
-    for name, value in known.items():
-        own = grid.get(name)
-        if value is not None and own is not None and not np.all(np.equal(value, own)):
-            return f"{name} {', '.join(f'{each:g}' for each in np.asarray(value).ravel())}"
-    return ""
-
-
-def _network(cell: Cell) -> dict[str, Any]:
-    """What the shape of D-COACH's network and buffer follows from, and what its inputs mean; else nothing."""
-    if cell.algo != "d-coach":
-        return {}
-    task = find("task", cell.env)
-    settings = (
-        find("learner", cell.algo).defaults | task.presets.get(cell.algo, {}) | dict(cell.hyperparameters)
-    )
-    scales = None if task.obs_scale is None else tuple(1.0 / scale for scale in task.obs_scale)
-    return {name: settings[name] for name in ("width", "buffer_size")} | {"scaling": scales}
-
-
-def _other_network(contents: Contents, state: State, network: Mapping[str, Any], place: str) -> str:
-    """What of D-COACH there is another than of this network, in words; nothing if it may go on."""
-    for name, own in network.items():
-        known = (
-            contents.arrays(state, place).get("learner.scaling")
-            if name == "scaling"
-            else state.card.get(name)
-        )
-        if known is not None and own is not None and not np.array_equal(known, own):
-            given, here = (", ".join(f"{each:g}" for each in np.ravel(value)) for value in (known, own))
-            return f"{name} {given}, here it is {here}"
-    return ""
 
 
 def _checked(card: Mapping[str, Any], folder: Path, place: str) -> Mapping[str, Any]:

@@ -30,7 +30,7 @@ from gpcjax.sweep.layout import (
 )
 from gpcjax.sweep.parts import Found, is_ours, names_in, orphans, part_of, whole_parts
 from gpcjax.sweep.plan import Cell
-from gpcjax.sweep.rows import IDENTITY, CellRows, cells_of, key_of, tables_of
+from gpcjax.sweep.rows import IDENTITY, CellRows, cells_of, key_of, of_cells, tables_of
 from gpcjax.sweep.runfolder import clean_parts, set_aside
 from gpcjax.sweep.sealing import Damage, Origin, sealed
 from gpcjax.sweep.unsealed import may_hold_unsealed
@@ -39,7 +39,7 @@ TOGETHER = 16
 """So many parts of about one size become one."""
 
 LARGEST_PART = 1 << 26
-"""Bytes from which a part stays as it is: what is put together goes through memory."""
+"""Bytes from which a part stays as it is, and parts are put together, however few: they go through memory."""
 
 
 class Store:
@@ -70,8 +70,8 @@ class Store:
             (out / folder).mkdir(exist_ok=True)
         numbers = [part.number for name in names_in(out / EPISODES) if (part := parse_part(name))]
         self._next = max(numbers, default=-1) + 1
-        self._small: dict[tuple[str, int], list[str]] = {}
-        """Parts that could become one with others, by their kind of machine and about how large they are."""
+        self._small: dict[tuple[str, int], dict[str, int]] = {}
+        """Parts that could become one with others, and their bytes: by their kind of machine and about how large."""
         self._stored: set[tuple[Any, ...]] = set()
         self.machines: set[str] = set()
         """Kinds of machines that have computed what is stored; known once it was asked what is `missing`."""
@@ -129,8 +129,9 @@ class Store:
             self.machines.add(machine)
             self._stored |= {key_of(cell, self._varying) for each in theirs for cell in each.cells}
         for key in sorted(self._small):
-            if len(self._small[key]) >= TOGETHER:
-                self._put_together(self._small.pop(key), machine=key[0])
+            sizes = self._small[key]
+            if len(sizes) >= TOGETHER or (len(sizes) > 1 and sum(sizes.values()) >= LARGEST_PART):
+                self._put_together(list(self._small.pop(key)), machine=key[0])
 
     def put(self, tables: Mapping[str, pa.Table], machine: str = "") -> None:
         """Writes rows that are tables already, as `gpcjax.sweep.rows.tables_of` makes them: one part, as it is."""
@@ -150,7 +151,7 @@ class Store:
 
     def _note(self, name: str, size: int, machine: str) -> None:
         if size < LARGEST_PART:
-            self._small.setdefault((machine, int(math.log(size, TOGETHER / 2))), []).append(name)
+            self._small.setdefault((machine, int(math.log(size, TOGETHER / 2))), {})[name] = size
 
     def _put_together(self, names: Sequence[str], machine: str) -> None:
         """Writes the rows of some parts as one, then removes them. Leaves them where one is damaged by now."""
@@ -159,9 +160,15 @@ class Store:
             parts = [part_of(self._out, name, self._manifest, wanted) for name in names]
         except Damage:
             return
-        found = [part.tables for part in parts if part is not None]
-        if len(found) < len(names):
-            return
+        found = list[Mapping[str, pa.Table]]()
+        keys, seen = [*IDENTITY, *self._varying], set[tuple[Any, ...]]()
+        for part in parts:
+            if part is None:
+                return
+            cells = cells_of(part.tables[EPISODES], keys)
+            # Whatever came twice: within a part nobody would find it again.
+            found.append(of_cells(part.tables, keys, cells - seen) if cells & seen else part.tables)
+            seen |= cells
         self._write(_joined(found), machine, replaces=names)
         self._remove(names)
 

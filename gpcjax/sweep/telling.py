@@ -55,6 +55,8 @@ class Told:
     clock: Callable[[], float] = time.monotonic
     state: State = field(default_factory=State)
     began: float = 0.0
+    _reckoned: tuple[float, float] | None = None
+    """When the time left was reckoned last, and what it was."""
 
     def begin(self) -> None:
         """From now on."""
@@ -68,13 +70,11 @@ class Told:
         )
         if not self.works:
             return line
-        return (
-            f"{line}, about {_clock_time(seconds_left(self.works, self.jobs))}{self._compiling(self.works)}"
-        )
+        return f"{line}, about {clock_time(seconds_left(self.works, self.jobs))}{self._compiling(self.works)}"
 
     def _compiling(self, works: Sequence[Work]) -> str:
         seconds = round(compiling_left(works, self.jobs))
-        return f", {_clock_time(seconds)} of it compiling" if seconds else ""
+        return f", {clock_time(seconds)} of it compiling" if seconds else ""
 
     @property
     def line(self) -> str:
@@ -85,7 +85,7 @@ class Told:
     @property
     def last(self) -> str:
         """What it has come to."""
-        took = _clock_time(self.clock() - self.began)
+        took = clock_time(self.clock() - self.began)
         return f"{self.name}: {self.finished} cells in {took}, {self._rate or 'no steps'}"
 
     @property
@@ -96,9 +96,17 @@ class Told:
     @property
     def share(self) -> float:
         """Of the time that is over, as far as it can be told."""
-        left = seconds_left(self.state.works, self.jobs)
+        left = self._seconds_left()
         spent = self.clock() - self.began
         return spent / (spent + left) if spent + left else 0.0
+
+    def _seconds_left(self) -> float:
+        """Reckoned each second: messages come as often as there are workers, and who shows them answers these, too."""
+        now = self.clock()
+        if self._reckoned is None or now - self._reckoned[0] >= 1.0 or self.state.finished >= self.cells:
+            self._reckoned = now, seconds_left(self.state.works or self.works, self.jobs)
+        since, seconds = self._reckoned
+        return max(seconds - (now - since), 0.0)
 
     @property
     def speed(self) -> str:
@@ -118,7 +126,7 @@ class Told:
         works = self.state.works or self.works
         if not works:
             return ""
-        seconds = _clock_time(seconds_left(works, self.jobs))
+        seconds = clock_time(self._seconds_left())
         if any(is_seen(work) for work in works):
             return f"{seconds} left"
         return f"about {seconds} left{self._compiling(works)}"
@@ -129,7 +137,7 @@ class Told:
         return None if sofar is None or sofar.range is None else table(sofar, max(lines, 1), encoding)
 
 
-def _clock_time(seconds: float) -> str:
+def clock_time(seconds: float) -> str:
     """As 1:02:03, or 2:03."""
     whole = round(seconds)
     hours, minutes = divmod(whole // 60, 60)

@@ -98,6 +98,7 @@ class _Worker:
             runs.save()
 
         pool.run(runs.next_start, runs.deliver, look, runs.keep)
+        runs.close()
         self._done = self._progress(pool)
         self._say(("progress", self._done))
 

@@ -24,9 +24,9 @@ from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.plan import Cell, plan
-from gpcjax.sweep.run import versions
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec, make_spec
+from gpcjax.sweep.versions import versions
 
 FORMAT = 1
 COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"

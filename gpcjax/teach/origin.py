@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.kept import differences, kept_rows, narrowed, newest
+from gpcjax.sweep.layout import tell
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.sources import RELATIVES
 
@@ -41,7 +42,7 @@ def of_run(folder: Path, algo: str | None, seed: int | None, where: Mapping[str,
     """
     place = f"--from {folder}"
     asked = {**where, **({} if seed is None else {"seed": str(seed)})}
-    left = narrowed(newest(kept_rows(folder, "state", {})), asked, place)
+    left = narrowed(newest(kept_rows(folder, "state", {}, tell)), asked, place)
     if algo is not None:
         held = set(left["algo"])
         fitting = next((name for name in (algo, *RELATIVES.get(algo, ())) if name in held), None)

@@ -13,9 +13,9 @@ from gpcjax.learners.base import Status
 from gpcjax.sweep import machine
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, parse_part
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import varying
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.run import new_manifest
 from gpcjax.sweep.store import Store
 from gpcjax.teach.course import Course
 

@@ -23,6 +23,7 @@ from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
 from gpcjax.learners.gpc import GPC, GPCState
 from gpcjax.sweep.kept import kept_rows, narrowed, newest
+from gpcjax.sweep.layout import tell
 from gpcjax.sweep.learned import learned_of
 
 Model = Literal["policy", "human"]
@@ -94,7 +95,7 @@ def chosen_runs(folder: Path, algo: str | None, where: Mapping[str, Any]) -> pd.
         UserError: no states are kept, there are none of this learner, or of several where none was named.
     """
     told = {name: str(value) for name, value in where.items()}
-    kept = narrowed(newest(kept_rows(folder, "state", {})), told, str(folder))
+    kept = narrowed(newest(kept_rows(folder, "state", {}, tell)), told, str(folder))
     names = list(dict.fromkeys(kept["algo"]))
     if algo is None and len(names) > 1:
         raise UserError(f"{folder}: there are runs of {', '.join(names)}, give one of them (--algo)")

@@ -10,7 +10,7 @@ from gpcjax.errors import Failure, UserError
 from gpcjax.policies.folder import write_folder
 from gpcjax.sweep import machine
 from gpcjax.sweep.blocks import block_of
-from gpcjax.sweep.checkpoints import KIND, cell_as_json, survey, told
+from gpcjax.sweep.checkpoints import KIND, runs_as_json, survey, told
 from gpcjax.sweep.checkpoints import Place as CheckpointPlace
 from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Orders, crew
@@ -184,7 +184,7 @@ class TestCheckpoints:
     @pytest.fixture
     def archive(self, tmp_path):
         name = "1795715941520164536-10949-0"
-        runs = [{"cell": cell_as_json(cell), "steps": 5, "kept": []} for cell in CELLS[:3]]
+        runs = runs_as_json((cell, 5) for cell in CELLS[:3])
         write_folder(tmp_path / name, {"kind": KIND, "runs": runs, "lanes": []}, {"some": np.arange(3.0)})
         return name, pack([(tmp_path / name, name)])
 
@@ -231,7 +231,7 @@ class TestCheckpoints:
         name, kind = "1795715941520164536-10949-0", kind_of(OTHER)
         folder = tmp_path / "out" / "checkpoints" / name
         agree = told(versions(), kind, None)
-        runs = [{"cell": cell_as_json(cell), "steps": 5, "kept": []} for cell in CELLS]
+        runs = runs_as_json((cell, 5) for cell in CELLS)
         write_folder(folder, {"kind": KIND, **agree, "runs": runs, "lanes": []}, {"some": np.arange(3.0)})
         here = told(versions(), kind_of(HERE.machine), None)
         places = survey(tmp_path / "out", lambda cell: True, here, print)

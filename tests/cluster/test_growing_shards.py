@@ -1,5 +1,6 @@
 """Sweeps in shards that grow: also by little, and where a shard is lost."""
 
+import json
 import shutil
 
 import pytest
@@ -43,6 +44,14 @@ def test_by_fewer_cells_than_shares(tmp_path):
         run(tmp_path / "new", 1, seeds=1)
 
 
+def test_for_programs_each_line_is_json(tmp_path, capsys):
+    words = "sweep --env mountaincar --algo coach --episodes 3 --seeds 4 --jobs 1 --shard 1/2"
+    assert cli.main([*words.split(), "--out", str(tmp_path / "o"), "--json"]) == 0
+    *_, end, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (end["event"], end["complete"]) == ("end", True)
+    assert last == {"event": "shard", "shard": "1/2", "out": str(Shard(1, 2).folder(tmp_path / "o"))}
+
+
 @pytest.mark.parametrize(
     ("before", "last"),
     [
@@ -50,6 +59,7 @@ def test_by_fewer_cells_than_shares(tmp_path):
         ([{"seeds": 4}], {"seeds": "4-7"}),
         ([{"seeds": 4}, {"seeds": 6}], {"seeds": 6, "beta": [3, 5]}),
         ([{"seeds": 4}, {"seeds": 6}], {"seeds": "9-9"}),
+        ([{"seeds": 4}, {"seeds": "4-7"}], {"seeds": 8}),
     ],
 )
 def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, before, last):
@@ -65,6 +75,20 @@ def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, be
     manifest = read_manifest(again)
     assert manifest["complete"] and manifest["asked"] == read_manifest(Shard(2, 2).folder(expected))["asked"]
     assert read_episodes(merge([out])).equals(read_episodes(merge([expected])))
+
+
+def test_one_that_lost_its_manifest_keeps_its_share(tmp_path):
+    """Which depends on what was asked for first, even if it was asked for again since."""
+    out, requests = tmp_path / "o", [{"seeds": "4-6"}, {"seeds": 8}, {"seeds": 12}]
+    for settings in requests:
+        for number in (1, 2):
+            run(out, number, **settings)
+    one = Shard(1, 2).folder(out)
+    before, rows = read_manifest(one), read_episodes(one)
+    (one / "manifest.json").write_text("{")
+    run(out, 1, **requests[-1])
+    assert read_manifest(one)["asked"] == before["asked"] and read_episodes(one).equals(rows)
+    assert seeds(merge([out])) == [*range(12)]
 
 
 def test_a_new_one_grows_with_the_others(tmp_path):

@@ -11,10 +11,11 @@ from gpcjax.report.summary import summarise
 from gpcjax.sweep import machine
 from gpcjax.sweep.listing import contents, look
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import new_manifest
+from gpcjax.sweep.origin import forget_idle_machines
 from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_episodes
-from gpcjax.sweep.run import _forget_idle_machines, new_manifest
 from gpcjax.sweep.shards import Shard
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import TOGETHER, Store
@@ -62,13 +63,13 @@ class TestAManifest:
     )
     def test_it_names_the_machines_that_have_rows(self, with_rows, first, further):
         manifest = {"machine": HERE, "further_machines": [OTHER]}
-        _forget_idle_machines(manifest, with_rows)
+        forget_idle_machines(manifest, with_rows)
         assert manifest["machine"] == first and manifest.get("further_machines") == further
 
     def test_an_unknown_one_stays(self):
         unknown = {"processor": "unknown"}
         manifest = {"machine": unknown, "further_machines": [OTHER]}
-        _forget_idle_machines(manifest, KINDS[1:])
+        forget_idle_machines(manifest, KINDS[1:])
         assert manifest == {"machine": unknown, "further_machines": [OTHER]}
 
 

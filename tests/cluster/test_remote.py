@@ -66,6 +66,7 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, tmp_path):
     assert block.cells == (cell,) and episodes["episode"] == list(range(1, 21))
     assert set(episodes["status"]) == {"ok"} and block.tables["corrections"].num_rows
     assert not [message for message in heard if message[0] == "note"]
+    assert len([message for message in heard if message[0] == "over"]) == 1
     name, archive = next(message[1:] for message in heard if message[0] == "checkpoint")
     places = receive(tmp_path, name, lambda parts: unpack(archive, parts))
     assert {each: place.folder for each, place in places.items()} == {cell: name}

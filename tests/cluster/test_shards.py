@@ -12,12 +12,13 @@ from gpcjax.errors import UserError
 from gpcjax.sweep import machine, merging, weights
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.growth import grown
+from gpcjax.sweep.keeping import ENTRY, as_json, keeping_of
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.merging import merge
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import plan, program_of, specification_hash, varying
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.rows import CellRows
-from gpcjax.sweep.run import new_manifest
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.shards import Shard, check_shard, held_shard, shard_of, share_of, shares
 from gpcjax.sweep.spec import spec_of
@@ -286,6 +287,27 @@ class TestMerging:
             merge([out], tmp_path / "else")
         with pytest.raises(UserError, match="--out is missing"):
             merge([Shard(number, 3).folder(out) for number in (1, 2, 3)])
+
+    def test_into_a_whole_that_keeps_something_else(self, out, tmp_path):
+        """Half of its runs would have nothing to load, and the manifest would not say so."""
+        for number in (1, 2, 3):
+            self.changed(Shard(number, 3).folder(out), **{ENTRY: as_json(keeping_of("policies", "last"))})
+        begun = {**read_manifest(Shard(1, 3).folder(out)), "complete": False, ENTRY: None}
+        del begun["shard"]
+        write_manifest(out, begun)
+        with pytest.raises(
+            UserError, match=r"of its runs it keeps nothing, the shards policies .*: give a new folder"
+        ):
+            merge([out])
+        self.changed(out, **{ENTRY: as_json(keeping_of("policies", "last"))})
+        assert read_manifest(merge([out]))["complete"]
+
+    def test_runs_that_were_under_way_there_are_over(self, out):
+        begun = {**read_manifest(Shard(1, 3).folder(out)), "complete": False}
+        del begun["shard"]
+        write_manifest(out, begun)
+        (out / "checkpoints" / "1234567890-1-0").mkdir(parents=True)
+        assert not (merge([out]) / "checkpoints").exists()
 
     def test_a_shard_is_no_whole_and_a_whole_no_shard(self, out):
         folder = Shard(1, 3).folder(out)

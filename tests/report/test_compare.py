@@ -13,7 +13,7 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report import compare_page
 from gpcjax.report.compare import folder_names, usual_out
-from gpcjax.sweep.growth import usual
+from gpcjax.sweep.boxes import usual
 from gpcjax.sweep.layout import part_name, sha256
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.plan import hash_of
@@ -201,6 +201,23 @@ class TestAcrossVersions:
         same = "All 24 pairs of runs of old and new have the same return in every episode, to the bit."
         assert same in found.notes
         assert not any("things" in line for line in found.notes)
+
+    def test_the_same_start_in_another_folder_is_no_other_setting(self, tmp_path):
+        def begun(name, start, digest, scale):
+            path = folder(tmp_path / name, given={LP: scale})
+            text = json.loads((path / "manifest.json").read_text())
+            text["specification"]["start"] = {"folder": str(tmp_path / start), "digest": digest}
+            write_manifest(path, text | {"hash": hash_of(text["specification"])})
+            return path
+
+        one = begun("one", "first", 12 * "a", 0.1)
+        other, third = begun("other", "copy", 12 * "a", 0.3), begun("third", "copy", 12 * "b", 0.1)
+        found = gpcjax.compare(one, other)
+        assert not any("start" in line for line in found.notes) and len(areas(found)) == 2
+        found = gpcjax.compare(one, third)
+        told = "start (first (aaaaaaaaaaaa) in one; copy (bbbbbbbbbbbb) in third)"
+        assert any(told in line for line in found.notes)
+        assert set(areas(found)["start_second"]) == {"copy (bbbbbbbbbbbb)"}
 
     def test_more_than_one_thing_is_said_before_all(self, tmp_path):
         bits = (

@@ -1,24 +1,29 @@
 """Run folders that are asked for more, with workers that are only pretended."""
 
+import dataclasses
 import json
 import shutil
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import origin
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.growth import covering, grown
 from gpcjax.sweep.layout import GROWN
-from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.manifest import read_manifest, write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import load, read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun, manifest_of
-from tests.sweep.pretended import Pretended
+from tests.sweep.pretended import Pretended, rows
 
 BASE = {"env": "cartpole", "algo": ["gpc", "coach"], "error": 0.1, "seeds": 2, "episodes": 3, "oracle": "lqr"}
 KEYS = ["algo", "oracle", "error", "seed", "episode"]
@@ -143,8 +148,8 @@ def test_seeds_that_are_not_held_are_not_taken_for_held(tmp_path):
 
 def test_another_version_is_refused(tmp_path, pretended, monkeypatch):
     sweep(tmp_path, **BASE)
-    versions = run_module.versions()
-    monkeypatch.setattr(run_module, "versions", lambda: {**versions, "jax": "99"})
+    versions = origin.versions()
+    monkeypatch.setattr(origin, "versions", lambda: {**versions, "jax": "99"})
     with pytest.raises(UserError, match=r"it was begun with jax .*, this is 99"):
         sweep(tmp_path, **(BASE | {"seeds": 3}))
 
@@ -174,6 +179,54 @@ def test_a_lost_manifest_is_made_anew_from_the_parts(tmp_path, pretended, asked)
         pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
     assert grow(tmp_path, pretended, *requests[asked:]) == [0] * (2 - asked)
     pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+
+
+@pytest.mark.parametrize("asked", [0, 1, 2])
+def test_so_is_one_of_requests_that_later_ones_cover(tmp_path, pretended, capsys, asked):
+    """Parts have the hash of the request that they were made for, whichever of them has asked for their cells since."""
+    requests = [{}, {"seeds": "1-3"}, {"seeds": 5}]
+    assert grow(tmp_path, pretended, *requests) == [4, 4, 2]
+    before, rows = read_manifest(tmp_path), read_episodes(tmp_path)
+    (tmp_path / "manifest.json").write_text("{")
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, requests[asked]) == [0]
+    after = read_manifest(tmp_path)
+    assert [after[name] for name in ("asked", "hash", "cells")] == [
+        before[name] for name in ("asked", "hash", "cells")
+    ]
+    pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+    assert "not rows of this sweep" not in capsys.readouterr().err
+
+
+def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, pretended, capsys):
+    """It grew by no cell, which left it unfinished, and with a further request for ever."""
+    requests = [{}, {"seeds": "2-4"}, {"error": 0.2}, {"seeds": "2-4", "error": 0.2}]
+    assert grow(tmp_path, pretended, *requests) == [4, 6, 4, 6]
+    before = read_manifest(tmp_path)
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, {"seeds": "1-3", "error": [0.1, 0.2]}, {"seeds": 5}) == [0, 0]
+    assert read_manifest(tmp_path) == before and "grows" not in capsys.readouterr().err
+    assert grow(tmp_path, pretended, {"seeds": "4-6", "error": [0.1, 0.2, 0.3]}) == [14]
+    # What was lost is made again, under the hash of one of these requests.
+    for folder in ("episodes", "corrections"):
+        shutil.rmtree(tmp_path / folder)
+    assert grow(tmp_path, pretended, {"seeds": 5, "error": [0.1, 0.2]}) == [20]
+    assert len(load(tmp_path)) == 20 * 3
+
+
+def test_what_was_measured_is_not_taken_for_a_setting(tmp_path, pretended):
+    """A learner of one's own may measure what is a setting of a learner that comes later."""
+    settings = BASE | {"algo": "gpc"}
+    spec = spec_of(**settings)
+    write_manifest(tmp_path, held := new_manifest(spec, [], len(plan(spec))))
+    measured = {"beta": np.array([7.0, 8.0, 9.0])}
+    Store(tmp_path, held).append([dataclasses.replace(rows(cell), own=measured) for cell in plan(spec)])
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    with pytest.raises(UserError, match="beta varies now, and a learner has measured a beta there"):
+        sweep(tmp_path, **(settings | {"algo": ["gpc", "coach"], "beta": [1, 2]}))
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    sweep(tmp_path, **(settings | {"seeds": 3}))
+    assert len(load(tmp_path)) == 9
 
 
 def test_parts_of_a_sweep_that_was_not_asked_here_stay_foreign(tmp_path, pretended):

@@ -50,6 +50,22 @@ def several(tmp_path, monkeypatch, pretended):
     return tmp_path
 
 
+def test_a_folder_that_may_not_be_read_hides_no_other(several, monkeypatch, capsys):
+    (several / "closed" / "run").mkdir(parents=True)
+    iterdir, stat = Path.iterdir, Path.stat
+
+    def denied(call, path, *arguments, **options):
+        if "closed" in path.parts[:-1] or (call is iterdir and "closed" in path.parts):
+            raise PermissionError(13, "Permission denied", str(path))
+        return call(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "iterdir", lambda path: denied(iterdir, path))
+    monkeypatch.setattr(Path, "stat", lambda path, **options: denied(stat, path, **options))
+    assert len(list(run_folders(several))) == 3
+    assert cli.main(["runs", str(several / "closed")]) == 2
+    assert "closed: cannot be read (Permission denied)" in capsys.readouterr().err
+
+
 def test_each_folder_has_its_state(several):
     found = {str(each.path.relative_to(several)): each for each in run_folders(several)}
     assert {name: each.state for name, each in found.items()} == {

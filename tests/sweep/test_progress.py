@@ -1,5 +1,6 @@
 """The estimate of the time that is left, on histories of uneven sweeps; and what is shown, and where."""
 
+import contextlib
 import io
 import json
 import random
@@ -12,9 +13,9 @@ import pytest
 from gpcjax.engine.pace import Pace
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
-from gpcjax.sweep import costs, experience
+from gpcjax.sweep import costs, estimate, experience, telling
 from gpcjax.sweep.crowd import Crowd
-from gpcjax.sweep.estimate import compiling_left, overdue, seconds_left
+from gpcjax.sweep.estimate import JOIN, compiling_left, overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import SLOWER, Paces
@@ -560,3 +561,35 @@ def test_json_lines():
         "left_s": told[1]["left_s"], "compile_s": told[1]["compile_s"], "compiling": True,
     }  # fmt: skip
     assert told[1]["left_s"] >= told[1]["compile_s"] > 0
+    assert told[-1]["complete"] is True and "complete" not in told[0]
+
+
+def test_json_lines_say_how_it_ended():
+    stream = io.StringIO()
+    with contextlib.suppress(KeyboardInterrupt), JsonLines("cartpole", 10, 1, stream, Clock()):
+        raise KeyboardInterrupt
+    *_, last = map(json.loads, stream.getvalue().splitlines())
+    assert (last["event"], last["complete"]) == ("end", False)
+
+
+def test_the_time_left_costs_as_many_steps_as_there_are_programs(monkeypatch):
+    """Not as many as pairs of them: the thread that reckons it is the one that answers workers."""
+    asked = []
+    monkeypatch.setattr(estimate, "least_to_join", lambda env: asked.append(env) or JOIN)
+    assert seconds_left([Work("cartpole", "gpc", 60, 30, "lqr") for _ in range(200)], 8) > 1
+    assert len(asked) == 200
+
+
+def test_the_time_left_is_reckoned_once_a_second(monkeypatch):
+    reckoned, clock = [], Clock()
+    monkeypatch.setattr(telling, "seconds_left", lambda works, jobs: reckoned.append(works) or 60.0)
+    told = Told("cartpole", 10, 1, (seen(),), clock)
+    told.begin()
+    for number in range(31):
+        clock.now = told.began + number / 10
+        told.state = State(finished=3, works=(seen(),))
+        assert told.share == pytest.approx((number / 10) / (number / 10 + 60.0 - number % 10 / 10))
+        assert told.left == f"{'1:00' if number % 10 <= 5 else '0:59'} left"
+    assert len(reckoned) == 4
+    told.state = State(finished=10, works=(seen(),))
+    assert told.left and len(reckoned) == 5, "at the end it is as it is"

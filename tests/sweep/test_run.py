@@ -19,14 +19,15 @@ from gpcjax.report import html
 from gpcjax.report.content import document
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
-from gpcjax.sweep import machine
+from gpcjax.sweep import going, machine, opening, origin
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.layout import FORMAT, tell
 from gpcjax.sweep.lock import LOCK
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import UNKNOWN
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_episodes
-from gpcjax.sweep.run import UNKNOWN, run, sweep
+from gpcjax.sweep.run import run, sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
 from tests.sweep.pretended import BASELINE, Pretended, rows
@@ -129,7 +130,7 @@ def test_what_was_finished_is_kept_and_the_rest_runs_later(tmp_path, pretend, er
 
 def test_stopped_just_when_rows_were_written(tmp_path, pretend, monkeypatch):
     """The flush at the end must not write them again."""
-    monkeypatch.setattr(run_module, "FLUSH_SECONDS", -1.0)
+    monkeypatch.setattr(going, "FLUSH_SECONDS", -1.0)
     pretend()
     append = Store.append
 
@@ -150,7 +151,7 @@ def test_stopped_just_when_rows_were_written(tmp_path, pretend, monkeypatch):
 
 def test_rows_are_flushed_while_it_runs(tmp_path, pretend, monkeypatch):
     """So that a kill, which nobody can catch, costs little."""
-    monkeypatch.setattr(run_module, "FLUSH_SECONDS", 0.01)
+    monkeypatch.setattr(going, "FLUSH_SECONDS", 0.01)
     pretended = pretend()
     seen = []
 
@@ -181,7 +182,7 @@ def test_stopped_between_the_last_row_and_the_manifest(tmp_path, pretend):
 
 
 def test_a_part_that_was_lost_is_run_again(tmp_path, pretend, monkeypatch):
-    monkeypatch.setattr(run_module, "FLUSH_SECONDS", -1.0)
+    monkeypatch.setattr(going, "FLUSH_SECONDS", -1.0)
     pretend()
     sweep(tmp_path, **SETTINGS)
     lost = sorted((tmp_path / "episodes").iterdir())[1]
@@ -200,11 +201,12 @@ class TestOtherVersions:
         def make(fails_after):
             pretend(fails_after)
             with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
-                patch.setattr(run_module, "versions", lambda: versions() | {"jax": "0.4.1"})
+                for module in (opening, origin):
+                    patch.setattr(module, "versions", lambda: versions() | {"jax": "0.4.1"})
                 sweep(tmp_path, **SETTINGS)
             return pretend()
 
-        versions = run_module.versions
+        versions = origin.versions
 
         return make
 

@@ -13,18 +13,24 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.errors import UserError
+from gpcjax.sweep import sealing
 from gpcjax.sweep.checkpoints import cell_as_json, cell_of
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.growth import contradictions
-from gpcjax.sweep.layout import CHECKPOINTS
+from gpcjax.sweep.kept import kept_rows
+from gpcjax.sweep.layout import CHECKPOINTS, tell
 from gpcjax.sweep.listing import commands
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.plan import hash_of, plan, program_of
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.source import Source
-from gpcjax.sweep.sources import Contents, State, _part, check_start, contents_of
+from gpcjax.sweep.sources import Contents, State, _group, _places, contents_of
 from gpcjax.sweep.spec import as_dict, from_dict, spec_of
+from gpcjax.sweep.startable import check_start
+from gpcjax.sweep.store import Store
+from tests.sweep.folders import begun
+from tests.sweep.pretended import rows
 from tests.sweep.test_underway import assert_same, killed_under_way
 
 SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
@@ -161,6 +167,56 @@ def test_coach_on_another_grid_and_what_is_too_large_are_refused_before_anything
         check_start(spec_of(max_capacity=2, **settings))
 
 
+def test_what_runs_take_is_found_without_going_through_all_states():
+    """As often as there are runs, it was done for each: half an hour for a hundred thousand."""
+
+    class Counted(dict):
+        read = 0
+
+        def __getitem__(self, name):
+            Counted.read += 1
+            return super().__getitem__(name)
+
+    settings = {"env": "cartpole", "algo": "gpc", "oracle": "lqr", "seeds": 40, "error": [0, 0.1, 0.2, 0.3]}
+    cells = plan(spec_of(**settings, policy_length_scale=[0.1, 0.2, 0.4, 0.8]))
+    keys = [(each.seed, each.error, dict(each.hyperparameters)["policy_length_scale"]) for each in cells]
+    states = [state(seed=seed, error=error, policy_length_scale=scale) for seed, error, scale in keys]
+    contents = Contents(Path("/x"), [State(Counted(one.values), Counted(one.card)) for one in states], "")
+    for one, expected in zip(cells, states, strict=True):
+        assert contents.of(one).values == expected.values
+    assert Counted.read < 20 * len(cells)
+
+
+def test_of_what_is_kept_a_row_is_read_and_not_its_part(tmp_path, monkeypatch):
+    out = begun(tmp_path, spec := spec_of(**SETTINGS | {"seeds": 9}))
+    monkeypatch.setattr(sealing, "GROUP", 1)
+    Store(out, read_manifest(out)).append([rows(each, kept=True) for each in plan(spec)])
+    contents, read, read_group = contents_of(out, "start"), [], pq.ParquetFile.read_row_group
+
+    def counted(self, group, columns):
+        read.append("arrays" in columns)
+        return read_group(self, group, columns)
+
+    monkeypatch.setattr(pq.ParquetFile, "read_row_group", counted)
+    for each in plan(spec)[::4]:
+        assert contents.arrays(contents.of(each))["seed"] == each.seed
+    assert sum(read) == 3 and len(read) == 3 + 9
+
+
+def test_what_is_damaged_there_is_a_line_once(tmp_path, capsys):
+    """And no warning of Python's, which a command would show with a line of its source."""
+    out = begun(tmp_path, spec := spec_of(**SETTINGS | {"seeds": 3}))
+    for each in plan(spec):
+        Store(out, read_manifest(out)).append([rows(each, kept=True)])
+    first = min((out / "kept").iterdir())
+    first.write_bytes(first.read_bytes()[:-1])
+    check_start(spec_of(**SETTINGS | {"seeds": [1, 2]}, start=out))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"gpcjax: {out}: 1 damaged part left out")
+    assert len(kept_rows(out, "state", {}, tell)) == 2
+    assert capsys.readouterr().err == line + "\n"
+
+
 def test_d_coach_of_other_sizes_is_refused_before_anything_runs(tmp_path):
     learner = gpcjax.make_learner("d-coach", "cartpole", width=8, buffer_size=20)
     gpcjax.save_learner(tmp_path / "saved", learner, learner.init())
@@ -191,7 +247,8 @@ def test_states_that_have_changed_since_are_refused(source, tmp_path):
     pq.write_table(table.set_column(table.column_names.index("arrays"), "arrays", others), part)
     for now in (part.read_bytes(), data[: len(data) // 2], b""):
         part.write_bytes(now)
-        _part.cache_clear()
+        _places.cache_clear()
+        _group.cache_clear()
         with pytest.raises(UserError, match="it has changed since the sweep was asked for"):
             contents.packed(state)
 

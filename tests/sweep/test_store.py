@@ -14,10 +14,12 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
+from gpcjax.sweep import parts, sealing
 from gpcjax.sweep import store as store_module
+from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.reading import read, read_corrections, read_episodes
+from gpcjax.sweep.reading import read, read_corrections, read_episodes, read_kept
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun, manifest_of
@@ -546,6 +548,83 @@ class TestTogether:
         for folder in ("episodes", "corrections"):
             assert len(list((tmp_path / folder).iterdir())) == 1
         pd.testing.assert_frame_equal(read_episodes(tmp_path), frame)
+
+    @pytest.mark.parametrize("left", ["all", "the one put together before"])
+    def test_a_kill_between_parts_that_were_put_together_before(self, tmp_path, monkeypatch, left):
+        """What was put together before is replaced like any other part: its rows count once, and never double."""
+        remove = Store._remove
+
+        def killed(self, names):
+            made = [name for name in names if sealing.replaced_by(tmp_path, name)]
+            if made:
+                remove(self, [] if left == "all" else [name for name in names if name not in made])
+                raise KeyboardInterrupt
+            remove(self, names)
+
+        stored = []
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(Store, "_remove", killed)
+            store = opened(tmp_path, self.SPEC)
+            for cell in self.CELLS:
+                stored.append(cell)
+                store.append([rows(cell)])
+        assert store_module.TOGETHER < len(stored) < len(self.CELLS)
+        for read_some in (read_episodes, lambda out, say: read_counted(out, say)[0].episode):
+            assert len(read_some(tmp_path, refuse)) == 3 * len(stored)
+        store = opened(tmp_path, self.SPEC)
+        assert store.missing(self.CELLS) == self.CELLS[len(stored) :] and store.cells == len(stored)
+        assert len(list((tmp_path / "episodes").iterdir())) == 1
+        for cell in self.CELLS[len(stored) :]:
+            store.append([rows(cell)])
+        assert len(read_episodes(tmp_path, refuse)) == 3 * len(self.CELLS)
+
+    def test_what_is_there_twice_is_put_together_once(self, tmp_path):
+        """As a merge into a folder with some of the rows leaves it."""
+        store, cells = opened(tmp_path, self.SPEC), self.CELLS[: store_module.TOGETHER + 2]
+        for first in range(store_module.TOGETHER):
+            store.append([rows(cell, kept=True) for cell in cells[first : first + 3]])
+        assert len(list((tmp_path / "episodes").iterdir())) == 1
+        assert len(read_episodes(tmp_path, refuse)) == 3 * len(cells)
+        assert len(read_corrections(tmp_path, refuse)) == 2 * len(cells)
+        assert len(read_kept(tmp_path, refuse)) == len(cells)
+
+    def test_what_is_put_together_has_so_many_bytes_at_most(self, tmp_path, monkeypatch):
+        """All of it is in memory at once."""
+        store, counts, put = opened(tmp_path, self.SPEC), [], Store._put_together
+        store.append([rows(self.CELLS[0])])
+        size = sum(path.stat().st_size for path in tmp_path.rglob("*.parquet"))
+        monkeypatch.setattr(store_module, "LARGEST_PART", 3 * size)
+
+        def counted(self, names, machine):
+            counts.append(len(names))
+            put(self, names, machine)
+
+        monkeypatch.setattr(Store, "_put_together", counted)
+        for cell in self.CELLS[1:12]:
+            store.append([rows(cell)])
+        assert counts and max(counts) <= 4
+        assert len(read_episodes(tmp_path, refuse)) == 3 * 12
+
+    @pytest.mark.parametrize("read_some", [read_episodes, read_counted, read_kept])
+    def test_a_reader_loses_nothing_that_is_put_together_meanwhile(self, tmp_path, monkeypatch, read_some):
+        """It has the names of parts that are gone when it comes to them, and not that of the new one."""
+        cells = self.CELLS[: store_module.TOGETHER]
+        store = opened(tmp_path, self.SPEC)
+        for cell in cells[:-1]:
+            store.append([rows(cell, kept=True)])
+        read_one, read_parts = parts.part_of, []
+
+        def read_slowly(out, name, *arguments):
+            read_parts.append(name)
+            if len(read_parts) == 3:
+                store.append([rows(cells[-1], kept=True)])
+            return read_one(out, name, *arguments)
+
+        monkeypatch.setattr(parts, "part_of", read_slowly)
+        got = read_some(tmp_path, refuse)
+        found = got[0].seeds.tolist() if read_some is read_counted else sorted({*got["seed"]})
+        assert found == [cell.seed for cell in cells]
+        assert len(list((tmp_path / "episodes").iterdir())) == 1
 
     def test_a_damaged_whole_does_not_hide_what_it_was_made_of(self, tmp_path, monkeypatch):
         monkeypatch.setattr(Store, "_remove", lambda self, names: None)

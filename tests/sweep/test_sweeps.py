@@ -110,7 +110,8 @@ def kill_and_resume(
     No worker outlives it; what is missing runs later, and what was there stays as it was.
     """
     out = folder / "out"
-    script = f"import gpcjax.sweep.run as run; run.FLUSH_SECONDS = 0.0; run.sweep({str(out)!r}, jobs=1, **{settings!r})"
+    asked = f"run.sweep({str(out)!r}, jobs=1, **{settings!r})"
+    script = f"from gpcjax.sweep import going, run; going.FLUSH_SECONDS = 0.0; {asked}"
     with process(["-c", script], folder) as running:
         wait_for(lambda: list(out.glob("episodes/*.parquet")) or running.poll() is not None)
         workers = workers_of(running.pid)

@@ -23,8 +23,9 @@ from gpcjax.sweep.learned import load_policies, load_states
 from gpcjax.sweep.packing import packed, unpacked
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
-from gpcjax.sweep.run import sweep, versions
+from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.versions import versions
 from tests.sweep.pretended import Pretended
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for

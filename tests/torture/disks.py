@@ -27,6 +27,7 @@ import numpy as np
 import pandas as pd
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import going
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.reading import read, read_kept
@@ -165,7 +166,7 @@ class _Whole:
             obey_permissions()
             count = _listen(self._disk.path, moment, lambda: self._strike(fault, left))
             run_module.Processes = Pretended(kept=True)
-            run_module.FLUSH_SECONDS = -1.0
+            going.FLUSH_SECONDS = -1.0
             from gpcjax import cli
 
             status = cli.main(self._words)

@@ -23,6 +23,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
+from gpcjax.sweep import going
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, MANIFEST
 from gpcjax.sweep.manifest import read_manifest
@@ -48,7 +49,7 @@ def finished(
 ) -> Path:
     """A whole sweep or a share of one, a part for each cell; it grew, if it was asked for `first` before."""
     out.mkdir(parents=True)
-    with workers(), mock.patch.object(run_module, "FLUSH_SECONDS", -1.0):
+    with workers(), mock.patch.object(going, "FLUSH_SECONDS", -1.0):
         for each in filter(None, (first, spec)):
             run(each, out, 1, shard=shard)
     return out

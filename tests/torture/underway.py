@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gpcjax.policies.folder import CARD, SUMS, _names, _sum, read_arrays, read_card
-from gpcjax.sweep.checkpoints import HERE, KIND, cell_of, survey
+from gpcjax.sweep.checkpoints import HERE, KIND, runs_of, survey
 from gpcjax.sweep.layout import CHECKPOINTS, DAMAGED
 from gpcjax.sweep.plan import Cell
 from tests.torture.faults import EDITS
@@ -172,8 +172,8 @@ def saved_in(out: Path) -> tuple[Saved, dict]:
     for folder in (out / CHECKPOINTS).iterdir():
         card = read_card(folder, KIND)
         agree = {name: card[name] for name in AGREE}
-        for run in card["runs"]:
-            found[cell_of(run["cell"])].append(_content(folder))
+        for cell, _ in runs_of(card):
+            found[cell].append(_content(folder))
     return found, agree
 
 
@@ -197,7 +197,7 @@ def judge(case: Case, saved: Saved, agree: dict) -> str:
         except (ValueError, KeyError):  # as a worker, which begins the run anew with a line
             continue
         assert content in saved[cell], f"{cell} would go on from what was never saved"
-        assert cell_of(read_card(folder, KIND)["runs"][place.index]["cell"]) == cell
+        assert runs_of(read_card(folder, KIND))[place.index][0] == cell
     assert len(lines) <= 1 and all("set aside" in line and "\n" not in line for line in lines), lines
     aside = case.out / DAMAGED / CHECKPOINTS
     assert bool(lines) == (aside.is_dir() and bool(list(aside.iterdir())))

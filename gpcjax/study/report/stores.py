@@ -12,8 +12,8 @@ from gpcjax.study.report.held import Held, RunRows
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.manifest import write_manifest
+from gpcjax.sweep.opening import new_manifest
 from gpcjax.sweep.plan import varying
-from gpcjax.sweep.run import new_manifest
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.store import Store
 

@@ -12,6 +12,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("machine", description)     computes on this machine (`gpcjax.sweep.machine.describe`): first of all, and only
                                  from another one than the desk's
     ("rows", CellRows | Block)   has finished a cell, or some
+    ("over", name)               of all runs in the checkpoint of this name the rows were said
     ("baseline", name, numbers)  has measured an idle policy or an expert
     ("progress", Totals)         has done so much so far; some times a second
     ("compiling", whether)       XLA begins with a program, or has it

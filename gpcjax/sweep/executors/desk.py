@@ -59,6 +59,7 @@ class Desk:
         before: tells what programs took the last time.
         starts: seconds until workers are there, likewise.
         on_machine: called with the description of each machine that a worker says to be on.
+        on_over: called with the name of each checkpoint whose runs have all been handed in.
         places: where runs can go on, by the kind of machine.
     """
 
@@ -75,6 +76,7 @@ class Desk:
         before: Before = lambda programs: {},
         starts: float = 0.0,
         on_machine: Callable[[Mapping[str, Any]], None] = lambda described: None,
+        on_over: Callable[[str], None] = lambda name: None,
         places: Mapping[str, Mapping[Cell, Place]] = {},
     ):
         self.cells, self.baselines = tuple(cells), tuple(baselines)
@@ -83,7 +85,7 @@ class Desk:
         self._sharing = Sharing(self.cells, self.workers, before)
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
-        self._on_note, self._on_machine = on_note, on_machine
+        self._on_note, self._on_machine, self._on_over = on_note, on_machine, on_over
         self._orders = orders
         self._places = {kind: dict(theirs) for kind, theirs in places.items()}
         self._heard = [_Heard() for _ in range(self.workers)]
@@ -182,6 +184,8 @@ class Desk:
                 return ("cells", cells, places) if places else ("cells", cells)
             case ("rows", CellRows() | Block() as rows):
                 self._take(worker, rows, self._heard[worker].machine)
+            case ("over", str() as name):
+                self._on_over(name)
             case ("machine", dict() as described):
                 self._heard[worker].machine = kind_of(described)
                 self._on_machine(described)

@@ -103,7 +103,10 @@ class Remote:
                 if message[0] == "progress":
                     heard = [each for each in heard if each[0] != "progress"]
                 heard.append(message)
-        return pickle.dumps([*self._checkpoints(), *together(heard, self._varying)], protocol=5)
+        said = [*self._checkpoints(), *together(heard, self._varying)]
+        for name in (message[1] for message in heard if message[0] == "over"):
+            shutil.rmtree(self._saved / name, ignore_errors=True)
+        return pickle.dumps(said, protocol=5)
 
     def close(self) -> None:
         """Ends the process, and removes its folder."""
