@@ -62,6 +62,11 @@ class Totals:
     compiling: bool = False
     """Whether a worker has been compiling for a while."""
 
+    def plus(self, more: "Totals", sign: int = 1) -> "Totals":
+        """What was done in both, or with -1 in this one beyond the other; nothing but counts and compile seconds."""
+        counts = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
+        return Totals(*(getattr(self, name) + sign * getattr(more, name) for name in counts))
+
 
 @dataclasses.dataclass(frozen=True)
 class Orders:

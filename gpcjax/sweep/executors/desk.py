@@ -86,7 +86,7 @@ class Desk:
         self._measure = deque(self.baselines)
         self._on_rows, self._on_baseline, self._on_progress = on_rows, on_baseline, on_progress
         self._on_note, self._on_machine, self._on_over = on_note, on_machine, on_over
-        self._orders = orders
+        self.orders = orders
         self._places = {kind: dict(theirs) for kind, theirs in places.items()}
         self._heard = [_Heard() for _ in range(self.workers)]
         self._done = Totals()
@@ -98,11 +98,6 @@ class Desk:
         self._crowd, self._noted = Crowd(), 0.0
         self._note_times()
         self._lock = threading.Lock()
-
-    @property
-    def orders(self) -> Orders:
-        """What workers do beside."""
-        return self._orders
 
     @property
     def done(self) -> bool:
@@ -214,14 +209,14 @@ class Desk:
         cell = None if self._measure and measures else self._sharing.next_program(worker)
         if cell is not None:
             heard.since = time.monotonic()
-            return ("program", cell, self._orders)
+            return ("program", cell, self.orders)
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
             heard.baseline = self._measure.popleft()
             return ("baseline", *heard.baseline)
         copy = self._sharing.next_copy(worker) if self._copies else None
         if copy is not None:
             heard.since = time.monotonic()
-            return ("program", copy, self._orders)
+            return ("program", copy, self.orders)
         return ("stop",)
 
     def _take(self, worker: int, rows: CellRows | Block, machine: str) -> None:
@@ -256,24 +251,18 @@ class Desk:
         before, heard.progress = heard.progress, progress
         told, heard.told = heard.told, now
         heard.compiling_since = None  # it would not speak
-        done = self._done
-        self._done = Totals(
-            done.env_steps + progress.env_steps - before.env_steps,
-            done.episodes + progress.episodes - before.episodes,
-            done.compile_seconds + progress.compile_seconds - before.compile_seconds,
-            done.compilations + progress.compilations - before.compilations,
-            done.kept + progress.kept - before.kept,
-        )
+        more = progress.plus(before, -1)
+        self._done = self._done.plus(more)
         program = self._sharing.at(worker)
         if program is None:
             return
-        work, compiled = self._sharing.works[program], progress.compile_seconds - before.compile_seconds
-        work.add(progress.env_steps - before.env_steps, progress.episodes - before.episodes, compiled)
-        work.kept += progress.kept - before.kept
-        if progress.env_steps > before.env_steps:
+        work = self._sharing.works[program]
+        work.add(more.env_steps, more.episodes, more.compile_seconds)
+        work.kept += more.kept
+        if more.env_steps:
             self._sharing.steps(worker)
         work.paces.take(worker, progress.paces)
-        work.seconds += max(now - heard.since - compiled, 0.0)
+        work.seconds += max(now - heard.since - more.compile_seconds, 0.0)
         heard.since = now
         if told is not None and progress.processor_seconds:
             seconds, processor = now - told, progress.processor_seconds - before.processor_seconds
