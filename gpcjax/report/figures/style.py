@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -247,8 +248,10 @@ def image(figure: Figure, kind: str, dpi: int = 200) -> bytes:
 
 def _lay_out(figure: Figure) -> None:
     """Finds the places of all parts, once: with each format anew it takes longer than the drawing itself."""
-    if figure.get_layout_engine() is not None:
-        figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        FigureCanvasAgg(figure)  # it measures texts, whoever else is registered for a format
+        engine.execute(figure)
         figure.set_layout_engine(None)
 
 
