@@ -1,4 +1,6 @@
-"""How much of a core a worker has, on a machine that others use too. Loads no jax."""
+"""How much of a core a worker has, on a machine that others use too, and how fast that core is. Loads no jax."""
+
+import time
 
 MOST = 20.0
 """How much of a core's time is believed to be others': more is a worker that waits for something else."""
@@ -10,8 +12,20 @@ _ENOUGH = 1.0
 """Seconds of what workers said, to go by that."""
 
 
-USUAL_START = 1.3
-"""Seconds of a core in which a worker imports what it needs, on the machine that `costs` were seen on."""
+USUAL_START, USUAL_PIECE = 1.3, 6.5e-3
+"""Seconds of a core in which a worker imports what it needs, and does a piece of work, on the machine that `costs` were
+seen on."""
+
+
+def piece_of_work() -> float:
+    """Seconds of this core for what is always the same: imports take longer the first time that they are done."""
+    taken: list[float] = []
+    for _ in range(3):
+        began, total = time.process_time(), 0
+        for i in range(100_000):
+            total += i * i % 7
+        taken.append(time.process_time() - began)
+    return min(taken)
 
 
 class Crowd:
@@ -19,11 +33,11 @@ class Crowd:
 
     def __init__(self) -> None:
         self._seconds = self._processor = 0.0
-        self._starts: list[float] = []
+        self._pieces: list[float] = []
 
-    def begin(self, seconds: float, processor: float) -> None:
-        """Notes what a worker took until it was there, of all seconds and of a core's."""
-        self._starts.append(processor)
+    def begin(self, seconds: float, processor: float, piece: float) -> None:
+        """Notes what a worker took until it was there, of all seconds and of a core's, and for a piece of work."""
+        self._pieces.append(piece)
         self.take(seconds, processor)
 
     def take(self, seconds: float, processor: float) -> None:
@@ -40,5 +54,5 @@ class Crowd:
 
     @property
     def machine(self) -> float:
-        """How many times as long as in `costs` a core of this machine takes, by the imports of its workers."""
-        return sum(self._starts) / len(self._starts) / USUAL_START if self._starts else 1.0
+        """How many times as long as in `costs` a core of this machine takes, by the pieces of work of its workers."""
+        return sum(self._pieces) / len(self._pieces) / USUAL_PIECE if self._pieces else 1.0

@@ -17,6 +17,10 @@ SLOWER = 2.5
 """How much longer an episode takes in a tier that has not run yet than in the one before: a guess, until it has."""
 
 
+FIRST = 4.0
+"""Episodes for which that guess counts beside those that were seen."""
+
+
 class Left(NamedTuple):
     """Seconds of one worker."""
 
@@ -173,10 +177,12 @@ def _by_episode(tiers: Sequence[_Tier]) -> list[float]:
     """Seconds that an episode of a lane takes in each tier."""
     here: list[float] = []
     for tier in tiers:
+        guess = SLOWER * here[-1] if here else 0.0
         if tier.recent_episodes >= 1.0:
-            here.append(tier.recent_lane_seconds / tier.recent_episodes)
-        elif tier.episodes:
-            here.append(tier.lane_seconds / tier.episodes)
+            seconds, episodes = tier.recent_lane_seconds, tier.recent_episodes
         else:
-            here.append(SLOWER * here[-1] if here else 0.0)
+            seconds, episodes = tier.lane_seconds, float(tier.episodes)
+        # The first to end in a tier say little: all its lanes were at work until then.
+        weight = FIRST if guess else 0.0
+        here.append((weight * guess + seconds) / (weight + episodes) if weight + episodes else 0.0)
     return here

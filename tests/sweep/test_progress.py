@@ -14,11 +14,11 @@ from gpcjax.engine.pace import Pace
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, estimate, experience, telling
-from gpcjax.sweep.crowd import Crowd
+from gpcjax.sweep.crowd import USUAL_PIECE, Crowd
 from gpcjax.sweep.estimate import JOIN, compiling_left, overdue, seconds_left
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.jsonlines import JsonLines
-from gpcjax.sweep.paces import SLOWER, Paces
+from gpcjax.sweep.paces import FIRST, SLOWER, Paces
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
@@ -209,21 +209,24 @@ class TestPaces:
         Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1, left=3, longest=3),
     )
 
+    LATER = (FIRST * SLOWER + 3.0) / (FIRST + 1)
+    """Of a lane's episode in the second tier: one that took three seconds, and the guess."""
+
     def test_those_in_larger_tiers_take_longer(self):
         paces = Paces()
         assert paces.left(begun=5, free=0) is None
         paces.take(0, self.PACES)
         # Two episodes of two lanes side by side, some of them in the next tier, and three of a lane that has its
         # block alone.
-        assert paces.left(begun=5, free=0) == (pytest.approx(2.0 + 9.0), 0.0)
+        assert paces.left(begun=5, free=0) == (pytest.approx(2.0 + 3 * self.LATER), 0.0)
         assert paces.seconds == 9.0
 
     def test_runs_to_come_are_like_those_that_have_begun(self):
         paces = Paces()
         paces.take(0, self.PACES)
         bound, free = paces.left(begun=4, free=4)
-        lanes = (12.0 + 4.0) / 4, (3.0 + 9.0) / 4
-        assert bound == pytest.approx(2.0 + 9.0)
+        lanes = (12.0 + 4.0) / 4, (3.0 + 3 * self.LATER) / 4
+        assert bound == pytest.approx(2.0 + 3 * self.LATER)
         assert free == pytest.approx(sum(4 * each / 2 for each in lanes) + sum(lanes) / 2)
 
     def test_a_tier_that_has_not_run_yet_is_slower_than_the_one_before(self):
@@ -240,7 +243,7 @@ class TestPaces:
         paces.take(0, (first, Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1)))
         # Three of five do go on: of two 1.2 lanes, with five episodes each; the longest run does four before.
         later = 1.2 * 5.0
-        expected = (19.0 - later) / 2 * 1.0 + 5.0 * 3.0
+        expected = (19.0 - later) / 2 * 1.0 + 5.0 * self.LATER
         assert paces.left(begun=8, free=0) == (pytest.approx(expected), 0.0)
         assert paces.waiting == 0
         paces.take(0, (first, Pace(2)))
@@ -257,7 +260,8 @@ class TestPaces:
         paces.take(0, self.PACES)
         paces.take(1, self.PACES)
         paces.leave(1)
-        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx((2.0 + 9.0, 0.0))
+        later = (FIRST * SLOWER + 1.9 * 3.0) / (FIRST + 1.9)  # what was said before counts a tenth less
+        assert paces.seconds == 18.0 and paces.left(begun=10, free=0) == pytest.approx((2.0 + 3 * later, 0.0))
 
     def test_what_was_expected_counts_until_the_pace_is_known(self):
         """A program that took 30 s the last time, of which the first quarter came in 2 s: its later runs are longer."""
@@ -282,7 +286,7 @@ def test_workers_are_there_after_a_while():
 def test_who_else_wants_a_core():
     crowd = Crowd()
     assert crowd.slowness == crowd.machine == 1.0
-    crowd.begin(10.4, 2.6)
+    crowd.begin(10.4, 2.6, 2 * USUAL_PIECE)
     assert crowd.slowness == pytest.approx(4.0) and crowd.machine == pytest.approx(2.0)
     for _ in range(200):
         crowd.take(1.0, 1.1)  # a compilation has several threads
@@ -537,7 +541,7 @@ class TestExperience:
         """By each program's tiers; less of it, the more was compiled; nothing of those that are nearly done."""
         works = list(works_of(dict.fromkeys(self.PROGRAMS, 100)).values())
         told = Told("cartpole", 200, 2, works)
-        assert re.fullmatch(r"about \d:\d\d left, 0:1\d of it compiling", told.left)
+        assert re.fullmatch(r"about \d:\d\d left, 0:\d\d of it compiling", told.left)
         before = compiling_left(works, 1)
         assert before == pytest.approx(sum(work.usual_compiling for work in works))
         assert compiling_left(works, 2) == max(work.usual_compiling for work in works)

@@ -6,6 +6,7 @@ import pytest
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
+from gpcjax.sweep.crowd import USUAL_PIECE
 from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Totals
 from gpcjax.sweep.executors import desk as desk_module
@@ -141,7 +142,7 @@ class TestDesk:
         assert work.ready_in == 2.0 and it.started is None
         now[0] += 3.0
         for worker in (0, 1):
-            assert it.answer(worker, ("begun", 5.2, 2.6)) is None
+            assert it.answer(worker, ("begun", 5.2, 2.6, 2 * USUAL_PIECE)) is None
             assert it.answer(worker, ("ready",))[0] == "program"
         it.look()
         assert it.started == 2.6 and work.ready_in == 0.0

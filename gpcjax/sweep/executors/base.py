@@ -3,8 +3,9 @@
 An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and takes what the worker says to
 `Desk.answer`. Messages of a worker, all of which can be pickled:
 
-    ("begun", seconds, core's)   took so long to import what it needs, and so much of a core: only of a process of its
-                                 own, once
+    ("begun", seconds, core's, piece)
+                                 took so long to import what it needs, so much of a core for it, and so much for a
+                                 `piece_of_work`: only of a process of its own, once
     ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
                                  ("stop",), or of an executor ("again",): this is another sweep, say it again
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end, and a

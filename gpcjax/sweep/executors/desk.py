@@ -167,8 +167,8 @@ class Desk:
 
     def _answer(self, worker: int, message: Message) -> Message | None:
         match message:
-            case ("begun", float() as seconds, float() as processor):
-                self._crowd.begin(seconds, processor)
+            case ("begun", float() as seconds, float() as processor, float() as piece):
+                self._crowd.begin(seconds, processor, piece)
                 self.started = max(self.started or 0.0, processor)
             case ("ready",):
                 return self._next_program(worker)

@@ -31,9 +31,10 @@ def main() -> None:
         except (EOFError, BrokenPipeError, ConnectionResetError):
             os._exit(1)  # the parent is gone
 
+    from gpcjax.sweep.crowd import piece_of_work
     from gpcjax.sweep.worker import work
 
-    say(("begun", time.monotonic() - began[0], time.process_time() - began[1]))
+    say(("begun", time.monotonic() - began[0], time.process_time() - began[1], piece_of_work()))
     if not work(say):
         raise SystemExit(1)
 
