@@ -12,7 +12,7 @@ _ENOUGH = 1.0
 """Seconds of what workers said, to go by that."""
 
 
-USUAL_START, USUAL_PIECE = 1.3, 6.5e-3
+USUAL_START, USUAL_PIECE = 1.3, 9e-3
 """Seconds of a core in which a worker imports what it needs, and does a piece of work, on the machine that `costs` were
 seen on."""
 
