@@ -545,8 +545,8 @@ class TestExperience:
         before = compiling_left(works, 1)
         assert before == pytest.approx(sum(work.usual_compiling for work in works))
         assert compiling_left(works, 2) == max(work.usual_compiling for work in works)
-        works[0].joined, works[0].compiling_for = 1, 2.0
-        assert compiling_left(works, 1) == pytest.approx(before - 2.0)
+        works[0].joined, works[0].compiling_for = 1, 1.0
+        assert compiling_left(works, 1) == pytest.approx(before - 1.0)
         for work in works:
             work.begun = work.finished = work.cells
         assert compiling_left(works, 1) == 0.0
