@@ -24,7 +24,7 @@ from gpcjax.errors import ForeignError, UserError
 from gpcjax.sweep.build import make_pool
 from gpcjax.sweep.environment import programs_folder, refuse_another_environment
 from gpcjax.sweep.executables import Executables
-from gpcjax.sweep.executors.base import Message, Orders, Say, Totals
+from gpcjax.sweep.executors.base import COUNTS, Message, Orders, Say, Totals
 from gpcjax.sweep.executors.starting import FEWER, NO_MEMORY
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import Cell, Program, program_of
@@ -119,10 +119,9 @@ class _Worker:
 
     def _progress(self, pool: Pool) -> Totals:
         done, before, counters = self._done, self._before, pool.counters
-        names = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
         paces = zip(pool.paces(), self._paces_before, strict=True)
         return Totals(
-            *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in names),
+            *(getattr(done, name) + getattr(counters, name) - getattr(before, name) for name in COUNTS),
             processor_seconds=time.process_time(),
             paces=tuple(now.since(before) for now, before in paces),
         )

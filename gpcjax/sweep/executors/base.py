@@ -65,8 +65,11 @@ class Totals:
 
     def plus(self, more: "Totals", sign: int = 1) -> "Totals":
         """What was done in both, or with -1 in this one beyond the other; nothing but counts and compile seconds."""
-        counts = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
-        return Totals(*(getattr(self, name) + sign * getattr(more, name) for name in counts))
+        return Totals(*(getattr(self, name) + sign * getattr(more, name) for name in COUNTS))
+
+
+COUNTS = ("env_steps", "episodes", "compile_seconds", "compilations", "kept")
+"""The first of its fields, which add up; the counters of a pool have them, too."""
 
 
 @dataclasses.dataclass(frozen=True)
