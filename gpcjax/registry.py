@@ -106,6 +106,15 @@ def _present(name: str) -> Any:
     return found
 
 
+def module_of(kind: Kind, name: str) -> str:
+    """The module that a name which is not built in comes from; "" where it is none, as of `gym:ID`."""
+    module, colon, _ = name.partition(":")
+    if colon:
+        return "" if module in ("gym", "brax", "replay") else module
+    point = _entry_points(kind).get(name)
+    return "" if point is None else point.module
+
+
 def found(kind: Kind, name: str) -> Any:
     """The description of a name that was asked for before in this process; None of any other."""
     return _FOUND.get((kind, name), (None,))[0]

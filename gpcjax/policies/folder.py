@@ -212,6 +212,21 @@ def _names(path: Path) -> list[str]:
     return sorted(file.relative_to(path).as_posix() for file in (path / CARD, *inner))
 
 
+def sum_of_folder(path: Path) -> str:
+    """Twelve hex digits of what a folder holds, by its sums; of its files where it has none.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    try:
+        if (path / SUMS).is_file():
+            return _sum(path / SUMS)[:12]
+        lines = "".join(f"{_sum(path / name)}  {name}\n" for name in _names(path))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({first_line(error)})") from None
+    return hashlib.sha256(lines.encode()).hexdigest()[:12]
+
+
 def _sum(file: Path) -> str:
     if not file.is_file():
         raise OSError(f"{file.name} is no file")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from gpcjax.sweep.digests import check_changed
 from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import count
@@ -44,7 +45,12 @@ def check(
 def check_folder(
     out: Path, spec: SweepSpec, keeping: Keeping | None, shard: Shard | None, grows: bool = True
 ) -> None:
-    """Refuses a folder that holds something else, or that keeps something else of its runs. Raises UserError."""
+    """Refuses a folder that holds something else, keeps something else of its runs, or was begun with other code.
+
+    Raises:
+        UserError: it is such a folder.
+    """
     check_sweep(out, spec, grows)
     check_shard(out, shard, count(spec))
     check_kept(out, keeping, spec)
+    check_changed(out, spec)

@@ -15,12 +15,16 @@ import dataclasses
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_card
+from gpcjax.sweep.digests import ENTRY as DIGESTS
+from gpcjax.sweep.digests import Digests, conflicts
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.layout import CHECKPOINTS, Say, is_checkpoint, is_unfinished_checkpoint
+from gpcjax.sweep.manifest import are_digests
 from gpcjax.sweep.packing import compressed, expanded
 from gpcjax.sweep.parts import names_in
 from gpcjax.sweep.plan import Cell
@@ -52,7 +56,12 @@ LAYOUT = 2
 """Of cells and of what is kept of them in a checkpoint, likewise."""
 
 
-def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> dict[str, Any]:
+def told(
+    versions: Mapping[str, str],
+    machine: str,
+    keeping: Keeping | None,
+    digests: Digests = MappingProxyType({}),
+) -> dict[str, Any]:
     """What runs must agree in to go on from a checkpoint, beside their cells."""
     return {
         "versions": dict(versions),
@@ -60,6 +69,7 @@ def told(versions: Mapping[str, str], machine: str, keeping: Keeping | None) -> 
         "snapshots": SNAPSHOTS,
         "layout": LAYOUT,
         "keeping": None if keeping is None else dataclasses.asdict(keeping),
+        DIGESTS: dict(digests),
     }
 
 
@@ -178,6 +188,10 @@ def _runs(path: Path, agree: Mapping[str, Any]) -> tuple[Any, list[tuple[Cell, i
     card = read_card(path, KIND)
     if card["kind"] != KIND:
         raise ValueError("no checkpoint")
-    wanted = {name: value for name, value in agree.items() if name != "machine"}
+    wanted = {name: value for name, value in agree.items() if name not in ("machine", DIGESTS)}
     agrees = {name: card.get(name) for name in wanted} == wanted
+    # More names may have come since; and before there were digests, none of them was told.
+    if not are_digests(held := card.get(DIGESTS, {})):
+        raise ValueError(DIGESTS)
+    agrees = agrees and not conflicts(held, agree.get(DIGESTS, {}))
     return card.get("machine"), runs_of(card) if agrees else []

@@ -119,6 +119,14 @@ def is_complete(out: Path) -> bool:
         return False
 
 
+def are_digests(value: object) -> bool:
+    """Whether this is what `gpcjax.sweep.digests` notes: texts by part, by name."""
+    return isinstance(value, dict) and all(
+        isinstance(parts, dict) and all(isinstance(told, str) for told in parts.values())
+        for parts in value.values()
+    )
+
+
 def _sum_of(manifest: Mapping[str, Any]) -> str:
     """SHA-256 of the content, however its text is laid out."""
     content = {name: value for name, value in manifest.items() if name != "sha256"}
@@ -162,6 +170,7 @@ _LATER: dict[str, Callable[[object], bool]] = {
     "further_machines": lambda value: isinstance(value, list) and all(isinstance(one, dict) for one in value),
     "asked": _are_requests,
     ENTRY: _is_keeping,
+    "digests": are_digests,
 }
 """What a manifest may have, and how it must be then."""
 

@@ -13,6 +13,8 @@ from typing import Any
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.checkpoints import remove_all
+from gpcjax.sweep.digests import ENTRY as DIGESTS
+from gpcjax.sweep.digests import conflicts
 from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.keeping import ENTRY, held_keeping, words_of
 from gpcjax.sweep.layout import BESIDE, EPISODES, MANIFEST, SHARDS, tell
@@ -146,6 +148,11 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             raise UserError(
                 f"{share.folder}: {keeps[0]}, {first.folder} {keeps[1]}: run one again into a new folder"
             )
+        if other := conflicts(share.manifest.get(DIGESTS, {}), first.manifest.get(DIGESTS, {})):
+            raise UserError(
+                f"{share.folder}: its {next(iter(other))} is another one than that of {first.folder}: run one again "
+                "into a new folder"
+            )
         for name, version in first.manifest["versions"].items():
             other = share.manifest["versions"].get(name)
             if other != version:
@@ -227,6 +234,10 @@ def _before(out: Path, shares: Sequence[_Share]) -> dict[str, Any] | None:
     if manifest["versions"] != first["versions"]:
         raise UserError(f"{out}: it was made with other versions than the shards, give a new folder (--out)")
     for share in shares:
+        if other := conflicts(manifest.get(DIGESTS, {}), share.manifest.get(DIGESTS, {})):
+            raise UserError(
+                f"{out}: its {next(iter(other))} is another one than that of the shards, give a new folder (--out)"
+            )
         if keeps := _keeps_other(manifest, share.manifest):
             raise UserError(f"{out}: {keeps[0]}, the shards {keeps[1]}: give a new folder (--out)")
     return manifest
@@ -256,7 +267,9 @@ def _merged(shares: Sequence[_Share], before: Mapping[str, Any] | None, cells: i
     }
     if not all(ENTRY in one for one in every):
         merged.pop(ENTRY, None)
+    digests = {name: parts for one in every for name, parts in one.get(DIGESTS, {}).items()}
     merged |= {
+        **({DIGESTS: digests} if digests else {}),
         "baselines": _baselines(every),
         "machine": first,
         **({"further_machines": further} if further else {}),

@@ -11,6 +11,8 @@ from gpcjax.sweep import machine
 from gpcjax.sweep.beforehand import check, check_folder
 from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.checkpoints import remove_all, survey, told
+from gpcjax.sweep.digests import ENTRY as DIGESTS
+from gpcjax.sweep.digests import note
 from gpcjax.sweep.executors import Executor, Orders, Processes, executor_of
 from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.going import Going
@@ -117,11 +119,12 @@ def run(
         check_folder(out, spec, keeping, shard, grows)  # again: somebody may have been faster
         is_new = not (out / MANIFEST).exists()
         manifest, request = asked(begin(spec, out, keeping, shard), spec, out, shard, say)
-        cells = plan(spec)
+        cells, specs = plan(spec), [spec]
         if shard is not None:
             share = share_of(manifest, shard)
             manifest |= {"shard": shard.as_json(), "cells": len(share)}
-            cells = _of_share(share, _requested(manifest) if is_new else [spec])
+            specs = _requested(manifest) if is_new else specs
+            cells = _of_share(share, specs)
         here = machine.describe()
         store = Store(out, manifest, machine.kind_of(here), request=request)
         missing = store.missing(cells)
@@ -133,7 +136,8 @@ def run(
             refuse_other(out, manifest, keeping)
             refuse_other_versions(out, manifest)
             note_machine(out, manifest, here)
-            agree = told(manifest["versions"], machine.kind_of(here), keeping)
+            note(manifest, specs)
+            agree = told(manifest["versions"], machine.kind_of(here), keeping, manifest.get(DIGESTS, {}))
             orders = Orders(
                 keeping=keeping,
                 checkpoints=str((out / CHECKPOINTS).absolute()),

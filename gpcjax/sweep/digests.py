@@ -1,0 +1,170 @@
+"""What names stand for that are not built in: a digest of the code or the files behind each. Loads no jax.
+
+A specification names a learner, a task, a teacher and an expert of a person's own by module or folder. What these hold
+may change under the name: the manifest keeps what it was, and a folder takes no rows of something else.
+"""
+
+import importlib.metadata
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from gpcjax.elsewhere import path_here
+from gpcjax.errors import UserError
+from gpcjax.recording import RECORD
+from gpcjax.registry import Kind, built_in, find, module_of
+from gpcjax.sweep.code import digests_of_modules
+from gpcjax.sweep.layout import sha256
+from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.spec import SweepSpec
+
+ENTRY = "digests"
+"""Of a manifest, by "env NAME", "algo NAME" and so on: the digests of the parts of each. Those of 0.2 have none."""
+
+Digests = Mapping[str, Mapping[str, str]]
+
+_LIBRARIES = {"gym": ("gymnasium",), "brax": ("brax", "mujoco")}
+"""What computes the tasks of these prefixes."""
+
+_FILE = "its files"
+
+
+def digests_of(spec: SweepSpec) -> dict[str, dict[str, str]]:
+    """What the names of a specification stand for now, of those that are not built in."""
+    asked: list[tuple[str, Kind, str]] = [("env", "task", spec.env), ("teacher", "teacher", spec.teacher)]
+    for name in spec.algo:
+        asked.append(("algo", "learner", name))
+    found = {
+        f"{setting} {name}": _parts_of(kind, name)
+        for setting, kind, name in asked
+        if name not in built_in(kind)
+    }
+    experts = find("task", spec.env).experts
+    for name in spec.oracle:
+        is_ours = spec.env in built_in("task") and name in experts
+        found |= {} if is_ours else {f"oracle {name}": _parts_of_expert(experts.get(name, name))}
+    return {name: parts for name, parts in found.items() if parts}
+
+
+def refuse_changed(out: Path, manifest: Mapping[str, Any], now: Digests) -> None:
+    """Refuses a folder whose rows were made with something else under a name.
+
+    Raises:
+        UserError: they were, by what the manifest says.
+    """
+    for name, parts in conflicts(manifest.get(ENTRY, {}), now).items():
+        which = "" if parts == [name.partition(" ")[2]] else f" ({', '.join(parts[:3])})"
+        raise UserError(
+            f"{out}: {name} is not what it was when this folder was begun{which}: bring that back, or give a new "
+            "folder (--out)"
+        )
+
+
+def check_changed(out: Path, spec: SweepSpec) -> None:
+    """The same of what a folder is asked for, before anything is written. Raises UserError."""
+    try:
+        manifest = read_manifest(out)
+    except UserError:
+        return  # there is none, or it is checked and told elsewhere
+    if manifest.get(ENTRY):
+        refuse_changed(out, manifest, digests_of(spec))
+
+
+def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:
+    """The names that stood for something else, each with the parts of it that differ."""
+    return {
+        name: [part for part in {**held[name], **parts} if held[name].get(part) != parts.get(part)]
+        for name, parts in now.items()
+        if name in held and held[name] != parts
+    }
+
+
+def note(manifest: dict[str, Any], specs: Iterable[SweepSpec]) -> None:
+    """Adds to a manifest what the names of specifications stand for: what it says already stays."""
+    now = {name: parts for spec in specs for name, parts in digests_of(spec).items()}
+    if now:
+        manifest[ENTRY] = {**now, **manifest.get(ENTRY, {})}
+
+
+def _parts_of(kind: Kind, name: str) -> dict[str, str]:
+    """What a task, a learner or a teacher is made of."""
+    prefix, colon, rest = name.partition(":")
+    if kind == "teacher" and (prefix == "replay" or os.path.isdir(path_here(name))):
+        return _file(path_here(rest if prefix == "replay" else name))
+    if colon and kind == "task" and prefix in _LIBRARIES:
+        versions = {library: _version(library) for library in _LIBRARIES[prefix]}
+        return versions | (_modules(_of_gymnasium(rest)) if prefix == "gym" else {})
+    spec = find(kind, name)
+    return _modules([module_of(kind, name), *_modules_in([getattr(spec, "make", None)])])
+
+
+def _parts_of_expert(entry: Any) -> dict[str, str]:
+    """What an expert is made of: a folder, a function, or what makes one and its arguments."""
+    entries = entry if isinstance(entry, tuple) else (entry,)
+    found = _modules(_modules_in(entries))
+    for each in entries:
+        if isinstance(each, str) and os.path.isdir(path_here(each)):
+            from gpcjax.policies.folder import CARD, sum_of_folder  # which loads numpy
+
+            folder = Path(path_here(each))
+            found |= {_FILE: sum_of_folder(folder)} | _modules(_named_in(folder / CARD))
+    return found
+
+
+def _modules(names: Iterable[str]) -> dict[str, str]:
+    return digests_of_modules(dict.fromkeys(filter(None, names)))
+
+
+def _modules_in(things: Iterable[Any]) -> Iterator[str]:
+    """The modules of texts "module:attribute", and of functions and classes."""
+    for thing in things:
+        if isinstance(thing, str):
+            yield thing.partition(":")[0] if ":" in thing else ""
+        elif isinstance(thing, Callable):
+            yield getattr(thing, "module", None) or getattr(thing, "__module__", None) or ""
+
+
+def _named_in(card: Path) -> list[str]:
+    """Modules that the card of a policy may name, as that of a person's own learner does."""
+
+    def texts(value: Any) -> Iterator[str]:
+        match value:
+            case str():
+                yield value
+            case dict():
+                for inner in value.values():
+                    yield from texts(inner)
+            case list():
+                for inner in value:
+                    yield from texts(inner)
+
+    try:
+        return list(_modules_in(texts(json.loads(card.read_bytes()))))
+    except (OSError, ValueError, RecursionError):
+        return []  # told where it is read
+
+
+def _of_gymnasium(task: str) -> list[str]:
+    """The modules that a task of gymnasium comes from, as far as it says so itself."""
+    module, colon, name = task.rpartition(":")
+    registry = getattr(sys.modules.get("gymnasium"), "registry", {})
+    point = getattr(registry.get(name), "entry_point", None)
+    return [module if colon else "", *_modules_in([point])]
+
+
+def _file(path: str) -> dict[str, str]:
+    file = os.path.join(path, RECORD) if os.path.isdir(path) else path
+    try:
+        return {_FILE: sha256(Path(file).read_bytes())[:12]}
+    except OSError:
+        return {}  # told where it is read
+
+
+def _version(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
