@@ -44,7 +44,10 @@ def test_nothing_is_merged_of_spoiled_shards_but_rows_of_the_sweep(cases):
     ("module", "cases"),
     [
         ("disks", 5),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("disks", 60), ("disks_underway", 4))),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (("disks", 60), ("disks_saving", 60), ("disks_underway", 4))
+        ),
     ],
 )
 def test_disks_become_full_or_read_only_and_folders_go(module, cases):

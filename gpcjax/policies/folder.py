@@ -12,9 +12,11 @@ import hashlib
 import json
 import math
 import os
+import re
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,9 @@ LARGEST_CARD = 2**22
 """Bytes."""
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
+
+_OS_ERROR = re.compile(r"\[os_error_code='(\d{1,4})'\]")
+"""How tensorstore says why the system refused something, at the end of a very long line."""
 
 _ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
 """The file with which an array says what it is, and the driver that reads one of its kind."""
@@ -55,8 +60,7 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         try:
-            with _quietly(), _checkpointer() as checkpointer:
-                checkpointer.save((scratch / ARRAYS).absolute(), dict(arrays))
+            _save_arrays(scratch / ARRAYS, arrays)
             _forget_place(scratch / ARRAYS)
             (scratch / CARD).write_bytes(text)
             sums = "".join(f"{_sum(scratch / name)}  {name}\n" for name in _names(scratch))
@@ -67,10 +71,55 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         except BaseException:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
-    except OSError as error:
-        raise UserError(
-            f"{path}: it cannot be written there ({error.strerror or first_line(error)}), give another path"
-        ) from None
+    except (OSError, _NotWritten) as error:
+        told = getattr(error, "strerror", "") or first_line(error)
+        raise UserError(f"{path}: it cannot be written there ({told}), give another path") from None
+
+
+class _NotWritten(Exception):
+    """Arrays that are not on the disk, and why."""
+
+
+def _save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises `_NotWritten`: orbax and tensorstore say by exceptions of many kinds that a disk is full."""
+    why = ""
+    with _quietly():
+        try:
+            with _checkpointer() as checkpointer:
+                checkpointer.save(folder.absolute(), dict(arrays))
+        except Exception as error:
+            told = _OS_ERROR.search(str(error))
+            why = os.strerror(int(told[1])) if told else first_line(error)
+            _settle(folder)
+    if why:
+        _drop_late_words()
+        raise _NotWritten(why)
+
+
+def _settle(folder: Path) -> None:
+    """Removes what was not written whole: threads that wrote other arrays go on for a moment, and make it anew."""
+    gone = 0
+    for _ in range(100):
+        there = os.path.lexists(folder.parent)
+        gone = 0 if there else gone + 1
+        if gone > 5:
+            return
+        shutil.rmtree(folder.parent, ignore_errors=True)
+        time.sleep(0.01)
+
+
+def _drop_late_words() -> None:
+    """Those threads want to tell of their ends, where nobody hears them any more: Python would print it for each."""
+    before = sys.unraisablehook
+    if getattr(before, "drops_late_words", False):
+        return
+
+    def hook(ignored: Any) -> None:
+        if str(ignored.exc_value) != "Event loop is closed":
+            before(ignored)
+
+    hook.drops_late_words = True
+    sys.unraisablehook = hook
 
 
 def _forget_place(arrays: Path) -> None:

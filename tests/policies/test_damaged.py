@@ -5,6 +5,9 @@ import json
 import logging
 import random
 import shutil
+import sys
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -96,6 +99,42 @@ def test_nothing_else_reaches_the_terminal(tmp_path, learner, change, capfd, cap
     gc.collect()
     assert capfd.readouterr() == ("", "") and not caplog.records
     assert logging.root.manager.disable == logging.NOTSET
+
+
+@pytest.fixture
+def at_most():
+    """Lets no file of this process become larger, as a full disk does."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [1, 300, 5000])
+def test_arrays_that_do_not_fit_on_the_disk_are_one_line(tmp_path, at_most, size, capfd):
+    """Orbax says so by a ValueError, a page long, and its threads complain of theirs afterwards."""
+    arrays = {f"array{number}": np.random.default_rng(number).random(2000) for number in range(20)}
+    at_most(size)
+    with pytest.raises(UserError) as error:
+        folder.write_folder(tmp_path / "mine", {}, arrays)
+    assert (
+        str(error.value)
+        == f"{tmp_path / 'mine'}: it cannot be written there (File too large), give another path"
+    )
+    time.sleep(0.2)
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
+
+
+def test_words_of_a_thread_that_nobody_hears_are_dropped_and_all_others_told(monkeypatch):
+    heard = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda ignored: heard.append(str(ignored.exc_value)))
+    for _ in range(2):
+        folder._drop_late_words()
+    for text in ("Event loop is closed", "mine"):
+        sys.unraisablehook(SimpleNamespace(exc_value=RuntimeError(text)))
+    assert heard == ["mine"]
 
 
 @pytest.mark.parametrize("place", ["file/new", "file/deep/new", "n" * 300, "/proc/none/new"])

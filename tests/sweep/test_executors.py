@@ -98,6 +98,7 @@ def test_its_own_error_is_one_line_with_the_full_text_beside_it(workers):
         (AssertionError(), "AssertionError", True),
         (MemoryError(), f"MemoryError{FEWER}", False),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), f"RuntimeError: RESOURCE_EXHAUSTED: Out of memory{FEWER}", False),  # noqa: E501
+        (ValueError("RESOURCE_EXHAUSTED: Error writing \"a/0\": No space left on device"), "ValueError: RESOURCE_EXHAUSTED: Error writing \"a/0\": No space left on device", True),  # noqa: E501
         (OSError(errno.EMFILE, "Too many open files"), "OSError: [Errno 24] Too many open files", False),
     ],
 )  # fmt: skip

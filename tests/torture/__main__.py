@@ -3,8 +3,8 @@
     python -m tests.torture [--cases 1000] [--kills 200] [--disks 400] [--seed 0]
 
 Folders are spoiled (`folders`), checkpoints (`underway`) and shards (`shards`); disks become full or read-only under a
-command, or its folder goes (`disks`; `disks_underway` has real workers); real sweeps are killed at random moments
-(`kills`).
+command, or its folder goes (`disks`; `disks_saving` saves, `disks_underway` has real workers); real sweeps are
+killed at random moments (`kills`).
 """
 
 import argparse
@@ -50,7 +50,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         out = killed_under_way(Path(folder), COMPILED | KEEP)
         wrong += told("spoiled checkpoints", underway.torture(out, cases, seed))
-    for module, some in (("disks", arguments.disks), ("disks_underway", arguments.disks // 20)):
+    disks = {
+        "disks": arguments.disks,
+        "disks_saving": arguments.disks,
+        "disks_underway": arguments.disks // 20,
+    }
+    for module, some in disks.items():
         # In a process of its own, which mounts disks that nobody else sees.
         words = ["-m", f"tests.torture.{module}", "--cases", str(some), "--seed", str(seed)]
         wrong += subprocess.run([sys.executable, *words]).returncode

@@ -17,10 +17,10 @@ LAST_WORDS = 8192
 FEWER = ", give fewer --jobs or a machine with more memory"
 
 NO_MEMORY = re.compile(
-    "MemoryError|bad_alloc|RESOURCE_EXHAUSTED|[Oo]ut of memory|annot allocate memory|Resource temporarily unavailable"
-    "|failed to map segment|can't start new thread"
+    r"MemoryError|bad_alloc|RESOURCE_EXHAUSTED(?!.*(?:[Ee]rror writing|No space))|[Oo]ut of memory"
+    "|annot allocate memory|Resource temporarily unavailable|failed to map segment|can't start new thread"
 )
-"""How libraries say that memory, or room for another thread, was not to be had."""
+"""How libraries say that memory, or room for another thread, was not to be had; not that a disk is full."""
 
 ASKED_TO_STOP = (-signal.SIGINT, -signal.SIGTERM, -getattr(signal, "SIGHUP", signal.SIGTERM))
 
