@@ -17,7 +17,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -108,18 +108,21 @@ def _settle(folder: Path) -> None:
         time.sleep(0.01)
 
 
+class _Without:
+    """Hears what Python cannot raise, as the hook before it does, but for the late words of such threads."""
+
+    def __init__(self, before: Callable[[Any], Any]):
+        self._before = before
+
+    def __call__(self, ignored: Any) -> None:
+        if str(ignored.exc_value) != "Event loop is closed":
+            self._before(ignored)
+
+
 def _drop_late_words() -> None:
     """Those threads want to tell of their ends, where nobody hears them any more: Python would print it for each."""
-    before = sys.unraisablehook
-    if getattr(before, "drops_late_words", False):
-        return
-
-    def hook(ignored: Any) -> None:
-        if str(ignored.exc_value) != "Event loop is closed":
-            before(ignored)
-
-    hook.drops_late_words = True
-    sys.unraisablehook = hook
+    if not isinstance(sys.unraisablehook, _Without):
+        sys.unraisablehook = _Without(sys.unraisablehook)
 
 
 def _forget_place(arrays: Path) -> None:

@@ -21,6 +21,7 @@ from gpcjax.sweep.keepable import refuse_other
 from gpcjax.sweep.keeping import ENTRY, Keeping, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS, MANIFEST, tell
 from gpcjax.sweep.lock import held
+from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.opening import asked, begin
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.origin import note_machine, refuse_other_versions
@@ -151,6 +152,9 @@ def run(
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
+        if store.cells < manifest["cells"]:  # rows of another request, that are damaged or gone
+            write_manifest(out, manifest | {"complete": False, "finished": store.cells})
+            return False
         remove_all(out)  # of a run that was killed when all was there
         return False
 

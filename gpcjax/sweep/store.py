@@ -104,9 +104,12 @@ class Store:
                 found.damaged[f"{folder}/{name}"] = "it belongs to no episodes"
         for name in found.parts:
             set_aside(self._out, *(self._out / folder / name for folder in (EPISODES, *BESIDE)))
-        fate = f"moved to {self._out / DAMAGED}, what is missing runs again"
-        found.speak(self._out, self._say, fate)
-        return [cell for cell in cells if not self.holds(cell)]
+        missing = [cell for cell in cells if not self.holds(cell)]
+        again = ", what is missing runs again" if missing else ""
+        if not missing and self.cells < self._manifest["cells"]:
+            again = ", what is missing runs again by the command that asked for it (gpcjax show)"
+        found.speak(self._out, self._say, f"moved to {self._out / DAMAGED}{again}")
+        return missing
 
     def holds(self, cell: Cell) -> bool:
         """Whether a cell has rows; known once it was asked what is `missing`."""

@@ -166,6 +166,26 @@ def test_an_earlier_request_that_was_interrupted_is_not_complete(tmp_path, monke
     assert read_manifest(tmp_path)["complete"] and len(load(tmp_path)) == 3 * 8
 
 
+@pytest.mark.parametrize("what", ["damaged", "gone"])
+def test_rows_of_another_request_that_are_lost_are_missing(tmp_path, pretended, capsys, what):
+    """A request that has all of its own rows runs nothing, and does not leave a folder that says to be complete."""
+    grow(tmp_path, pretended, {}, {"error": 0.2})
+    first = next((tmp_path / "episodes").glob("part-00000-*"))
+    first.write_bytes(b"x")
+    if what == "gone":
+        first.unlink()
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, {"error": 0.2}) == [0]
+    manifest = read_manifest(tmp_path)
+    assert (manifest["complete"], manifest["finished"], manifest["cells"]) == (False, 4, 8)
+    if what == "damaged":
+        moved = f"1 damaged part moved to {tmp_path / 'damaged'}"
+        said = capsys.readouterr().err
+        assert f"{moved}, what is missing runs again by the command that asked for it (gpcjax show) (" in said
+    assert grow(tmp_path, pretended, {}) == [4]
+    assert read_manifest(tmp_path)["complete"] and len(load(tmp_path)) == 3 * 8
+
+
 @pytest.mark.parametrize("asked", [0, 1], ids=["by the first request", "by the second"])
 def test_a_lost_manifest_is_made_anew_from_the_parts(tmp_path, pretended, asked):
     requests = [{}, {"seeds": "5-6", "error": 0.2}]
