@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,8 @@ import pandas as pd
 import pytest
 
 import gpcjax
-from gpcjax import registry
+from gpcjax import cli, registry
+from gpcjax.cli import words as flags
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.factory import make_learner
@@ -22,10 +24,13 @@ from gpcjax.sweep import run as run_module
 from gpcjax.sweep.executors import Processes
 from gpcjax.sweep.fitting import left_out
 from gpcjax.sweep.growth import grown
+from gpcjax.sweep.listing import commands
 from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.run import sweep
-from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.spec import make_spec, read_toml, spec_of
+from gpcjax.tune.toml import text_of
+from tests.sweep.folders import manifest_of
 from tests.sweep.pretended import Pretended
 from tests.sweep.test_sweeps import kill_and_resume
 
@@ -281,3 +286,23 @@ def test_what_fails_in_their_module_is_told_as_theirs(tmp_path, monkeypatch):
     assert traceback[0].startswith("Traceback") and line.startswith(
         "gpcjax: error: --env broken_task:Task: broken_task"
     )
+
+
+@pytest.mark.parametrize("algo", ["d-coach", "gpc", "drifting:Linear", "gpc-ns,d-coach"])
+def test_what_is_told_to_have_made_it_is_taken(tmp_path, algo):
+    """A task without an expert, whose own bound of a dictionary's points concerns some of the learners alone."""
+    settings = {"env": "drifting:SMALL", "teacher": "drifting:HOMEWARD", "seeds": 2}
+    spec = spec_of(algo=algo.split(","), **settings)
+    assert spec.oracle == ("none",) and spec.max_capacity == 256
+    (line,) = commands(manifest_of(spec), tmp_path / "out")
+    assert ("--max-capacity 256" in line) == (algo != "d-coach")
+    file = tmp_path / "best.toml"
+    file.write_text(text_of(spec))
+    # Only its module could tell that the bound does not concern this one.
+    if algo != "drifting:Linear":
+        given = flags.settings(flags.parse_words(shlex.split(line)[1:]))
+        given.pop("out")
+        assert make_spec(given) == spec
+        assert cli.main([*shlex.split(line)[1:], "--dry-run"]) == 0
+    assert make_spec(read_toml(file)) == spec
+    assert cli.main(["sweep", str(file), "--dry-run"]) == 0

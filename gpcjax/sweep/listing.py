@@ -11,6 +11,7 @@ from typing import Any
 
 from gpcjax.allowed import shown
 from gpcjax.describe import TaskSpec
+from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.growth import requests
@@ -18,7 +19,7 @@ from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import DAMAGED, EPISODES, MANIFEST, reason
 from gpcjax.sweep.lock import holder
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
-from gpcjax.sweep.options import OPTIONS
+from gpcjax.sweep.options import CONCERNING_SOME, OPTIONS, concerns
 from gpcjax.sweep.parts import Found, names_in, whole_parts
 from gpcjax.sweep.points import POINTS
 from gpcjax.sweep.rows import IDENTITY, cells_of
@@ -209,6 +210,8 @@ def _command(specification: Mapping[str, Any], running: Sequence[str], note: str
         option = OPTIONS.get(name)
         if name in ("hyperparameters", POINTS) or value == [] or value is None:
             continue
+        if (name == "oracle" and value == [NOBODY]) or not _may_concern(name, specification["algo"]):
+            continue
         if option is None:
             words += ["--set", f"{name}={_written(value)}"]
         elif isinstance(value, bool):
@@ -221,8 +224,17 @@ def _command(specification: Mapping[str, Any], running: Sequence[str], note: str
     return shlex.join([*words, *running]) + (f"  # {notes}" if notes else "")
 
 
+def _may_concern(name: str, algo: Sequence[str]) -> bool:
+    """Whether a setting that a specification has may be given, as far as it is known, likewise."""
+    if name not in CONCERNING_SOME:
+        return True
+    learners = [find("learner", each) for each in algo if each in built_in("learner")]
+    teacher = find("teacher", built_in("teacher")[0])  # no matter which
+    return len(learners) < len(algo) or any(concerns(name, learner, teacher) for learner in learners)
+
+
 def _usual(name: str, env: str) -> Any:
-    """What holds if nobody gives a value, as far as it is known without anybody's own module."""
+    """What holds if nobody gives a value, as far as it is known without a module of a person's own."""
     task = find("task", env) if env in built_in("task") else TaskSpec(env, env)
     if name in ("episodes", "max_capacity") and (env in built_in("task") or name == "max_capacity"):
         return getattr(task, name)

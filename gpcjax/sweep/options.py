@@ -153,6 +153,7 @@ VARIANTS = (
     ),
 )
 """Of learners with dictionaries, or of those that have such an option."""
+CONCERNING_SOME = frozenset(option.name for option in VARIANTS)
 
 
 def settings_of(
@@ -221,7 +222,7 @@ def concerns(name: str, learner: LearnerSpec, teacher: TeacherSpec) -> bool:
     """Whether a setting changes anything for a learner with a teacher."""
     if name in SCALES:
         return name in learner.options
-    if name in {option.name for option in VARIANTS}:
+    if name in CONCERNING_SOME:
         return learner.dictionary
     mine = {setting.name for setting in (*learner.settings, *CREDIT)}
     theirs = {setting.name for setting in teacher.settings if learner.uncertain or not setting.uncertain}

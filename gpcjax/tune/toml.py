@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from gpcjax.envs.registry import NOBODY
 from gpcjax.registry import find
 from gpcjax.sweep.options import OPTIONS, concerns
 from gpcjax.sweep.points import POINTS
@@ -22,9 +23,15 @@ def text_of(spec: SweepSpec, comments: Iterable[str] = ()) -> str:
         for name, value in as_dict(spec).items()
         if name not in OPTIONS or any(concerns(name, learner, teacher) for learner in learners)
     }
+    if spec.oracle == (NOBODY,):
+        del settings["oracle"]
     hyperparameters, points = settings.pop("hyperparameters"), settings.pop(POINTS, [])
     lines = [f"# {line}".rstrip() for line in comments]
-    lines += ["", *_lines({name: settings.pop(name) for name in _ALWAYS}), *_unusual(settings)]
+    lines += [
+        "",
+        *_lines({name: settings.pop(name) for name in _ALWAYS if name in settings}),
+        *_unusual(settings),
+    ]
     lines += _lines(hyperparameters)
     for point in points:
         lines += ["", f"[[{POINTS}]]", *_lines(point)]

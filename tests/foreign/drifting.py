@@ -41,6 +41,10 @@ DRIFT = gpcjax.TaskSpec(
 )
 
 
+SMALL = gpcjax.TaskSpec(name="drifting:SMALL", make=Drift, max_capacity=256)
+"""Without an expert, and with a bound of its own."""
+
+
 class Homeward(gpcjax.Teacher):
     """Knows without an expert that it is to go back."""
 
