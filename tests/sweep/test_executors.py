@@ -107,6 +107,24 @@ def test_what_a_worker_tells_of_its_error(error, line, ours):
     assert bool(told(error)[1]) == ours and (not ours or type(error).__name__ in told(error)[1])
 
 
+def test_a_reader_of_progress_that_is_gone_is_no_end_of_a_worker(workers):
+    """It breaks a pipe, too: that of the command's own output, which ends it with a status of its own."""
+
+    def show(totals):
+        if totals.env_steps:
+            raise BrokenPipeError("the reader is gone")
+
+    code = """
+from gpcjax.sweep.executors import Totals
+parent.send(("ready",)); parent.recv()
+parent.send(("next",)); parent.recv()
+parent.send(("progress", Totals(100, 2, 0.5, 1)))
+time.sleep(60)
+"""
+    with pytest.raises(BrokenPipeError, match="the reader is gone"):
+        workers(code, on_progress=show)
+
+
 def test_what_a_worker_refuses_is_the_persons_mistake(workers):
     """Raised again as it was: status 2 on the command line, not a fault of ours."""
     assert last_word(UserError("env 'x':\n give y")) == ("refused", "env 'x': give y")

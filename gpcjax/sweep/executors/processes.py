@@ -13,7 +13,7 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import forget_programs, script, worker_environment
 from gpcjax.sweep.executors import served
-from gpcjax.sweep.executors.base import ASKS
+from gpcjax.sweep.executors.base import ASKS, Message
 from gpcjax.sweep.executors.desk import Desk
 from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
 
@@ -46,6 +46,20 @@ class _Worker:
             return True
         self.last_words = (self.last_words + written)[-LAST_WORDS:]
         return bool(written)
+
+    def receive(self) -> Message:
+        """What it says. Raises Failure: it has ended."""
+        try:
+            return self.connection.recv()
+        except (EOFError, ConnectionError):
+            raise _end_of(self) from None
+
+    def send(self, message: Message) -> None:
+        """Likewise. What becomes of a message here, at the desk, is not its doing."""
+        try:
+            self.connection.send(message)
+        except ConnectionError:
+            raise _end_of(self) from None
 
     def end(self) -> None:
         """Kill it, if it has not ended."""
@@ -106,10 +120,7 @@ class Processes:
         for worker in workers:
             if worker.waits:
                 worker.waits = False
-                try:
-                    worker.connection.send(("again",))
-                except ConnectionError:
-                    raise _end_of(worker) from None
+                worker.send(("again",))
         working = {worker.connection: worker for worker in workers}
         writing = {worker.errors: worker for worker in workers}
         stop = stopping.wakeup()
@@ -123,21 +134,18 @@ class Processes:
                     del writing[descriptor]
             for connection in working.keys() & set(ready):
                 stopping.check()
-                try:
-                    more = _serve(working[connection], desk, self._stay)
-                except (EOFError, ConnectionError):
-                    raise _end_of(working[connection]) from None
-                if not more:
+                if not _serve(working[connection], desk, self._stay):
                     del working[connection]
 
 
 def _serve(worker: _Worker, desk: Desk, stay: bool) -> bool:
     """Answers one message; False if the worker has no more to do, and waits for the answer if it is to stay."""
-    message = worker.connection.recv()
+    message = worker.receive()
     answer = desk.answer(worker.number, message)
     worker.waits = stay and answer == ("stop",)
     if message[0] in ASKS and not worker.waits:
-        worker.connection.send(answer)
+        assert answer is not None
+        worker.send(answer)
     return answer != ("stop",)
 
 
