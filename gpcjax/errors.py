@@ -1,9 +1,20 @@
 """What ends a command in one line: a person's mistake, or a run that failed without one."""
 
+import errno
 import os
 from typing import Any
 
 _HERE = os.path.dirname(os.path.abspath(__file__)) + os.sep
+
+_OF_THE_MACHINE = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EROFS,
+    errno.EFBIG,
+    errno.EIO,
+    errno.EMFILE,
+    errno.ENFILE,
+)
 
 
 class UserError(ValueError):
@@ -12,6 +23,18 @@ class UserError(ValueError):
     Its message is one sentence that names the value (or the file and key) and what is allowed. The command line
     prints it as one line and ends with status 2.
     """
+
+
+class Unwritten(UserError):
+    """Something that cannot be written for the want of a disk, which is no mistake of a person's.
+
+    The command line ends with status 1.
+    """
+
+
+def unwritten(error: OSError, message: str) -> UserError:
+    """What this error of the system, at writing, is to a person: of the machine, or of what they asked for."""
+    return Unwritten(message) if error.errno in _OF_THE_MACHINE else UserError(message)
 
 
 class Failure(RuntimeError):

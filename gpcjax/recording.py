@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.allowed import checked_path, holds_numbers, shown
-from gpcjax.errors import UserError
+from gpcjax.errors import UserError, unwritten
 
 FORMAT = 1
 
@@ -174,9 +174,8 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise UserError(
-            f"record {path}: it cannot be written ({error.strerror}), give another path"
-        ) from None
+        line = f"record {path}: it cannot be written ({error.strerror}), give another path"
+        raise unwritten(error, line) from None
 
 
 def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:

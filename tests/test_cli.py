@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,9 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
+from gpcjax.cli import running
 from gpcjax.cli import words as grammar
+from gpcjax.report import files
 from gpcjax.report.live import Live
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.keeping import Keeping
@@ -408,6 +411,31 @@ def test_a_full_disk_is_no_traceback(calls, capsys):
     calls.fails = OSError(errno.ENOSPC, "No space left on device", "here/x")
     assert cli.main("sweep --env cartpole --out here".split()) == 1
     assert capsys.readouterr().err.endswith("make room, then the same command goes on\n")
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(errno.ENOSPC, 1), (errno.EROFS, 1), (errno.EDQUOT, 1), (errno.EACCES, 2)]
+)
+@pytest.mark.parametrize("what", ["the folder", "a file in it", "a file of the report"])
+def test_a_disk_that_takes_no_more_is_no_mistake(calls, capsys, monkeypatch, number, status, what):
+    """Nor is what cannot be written of a report; that somebody may not write there is."""
+
+    def fail(*arguments, **options):
+        raise OSError(number, os.strerror(number), "here/.hidden")
+
+    def draw(*arguments, **options):
+        files.write_files(Path("here"), {"report.html": "x"}, "make room")
+
+    if what == "the folder":
+        monkeypatch.setattr(Path, "mkdir", fail)
+    elif what == "a file in it":
+        monkeypatch.setattr(tempfile, "TemporaryFile", fail)
+    else:
+        monkeypatch.setattr(files, "write_atomic", fail)
+        monkeypatch.setattr(running, "report", draw)
+    assert cli.main("sweep --env cartpole --out here".split()) == status
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("gpcjax: error: here") and os.strerror(number) in line and ".hidden" not in line
 
 
 def test_a_bug_is_a_traceback(calls):

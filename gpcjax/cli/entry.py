@@ -13,7 +13,7 @@ import gpcjax
 from gpcjax.cli import experiments, running, showing
 from gpcjax.cli import words as grammar
 from gpcjax.cli.saying import show, tell
-from gpcjax.errors import Failure, ForeignError, UserError
+from gpcjax.errors import Failure, ForeignError, Unwritten, UserError
 from gpcjax.installed import is_set_up
 from gpcjax.streams import leave, make_printable
 from gpcjax.sweep import stopping
@@ -65,7 +65,7 @@ def _guarded(words: Sequence[str]) -> int:
     except UserError as error:
         if isinstance(error, ForeignError) and error.details:
             show(error.details)
-        return tell(f"error: {error}", MISTAKE)
+        return tell(f"error: {error}", FAILED if isinstance(error, Unwritten) else MISTAKE)
     except KeyboardInterrupt as stop:
         return tell(str(stop) or "stopped", _status(stop))
     except Exception as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gpcjax.allowed import OneOf, checked, checked_path, shown
-from gpcjax.errors import UserError
+from gpcjax.errors import UserError, unwritten
 
 if TYPE_CHECKING:
     from gpcjax.play.chosen import Chosen
@@ -107,7 +107,8 @@ def export(chosen: "Chosen", out: Any, to: Any, name: Any, source: str = "out") 
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, content)
     except OSError as error:
-        raise UserError(f"{path}: it cannot be written there ({error.strerror}), give another path") from None
+        line = f"{path}: it cannot be written there ({error.strerror}), give another path"
+        raise unwritten(error, line) from None
     sizes = {"obs_size": plain.obs_size, "action_size": plain.action_size}
     return Exported(path, to, name, FORMATS[to].call.format(name=name, **sizes), **sizes)
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from gpcjax.allowed import checked_path, is_no_data
-from gpcjax.errors import UserError
+from gpcjax.errors import UserError, unwritten
 
 FORMAT = 2
 FORMATS = (1, 2)
@@ -71,29 +71,26 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         except BaseException:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
-    except (OSError, _NotWritten) as error:
-        told = getattr(error, "strerror", "") or first_line(error)
-        raise UserError(f"{path}: it cannot be written there ({told}), give another path") from None
-
-
-class _NotWritten(Exception):
-    """Arrays that are not on the disk, and why."""
+    except OSError as error:
+        told = error.strerror or first_line(error)
+        raise unwritten(error, f"{path}: it cannot be written there ({told}), give another path") from None
 
 
 def _save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raises `_NotWritten`: orbax and tensorstore say by exceptions of many kinds that a disk is full."""
-    why = ""
+    """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full."""
+    why = None
     with _quietly():
         try:
             with _checkpointer() as checkpointer:
                 checkpointer.save(folder.absolute(), dict(arrays))
         except Exception as error:
-            told = _OS_ERROR.search(str(error))
-            why = os.strerror(int(told[1])) if told else first_line(error)
+            found = _OS_ERROR.search(str(error))
+            number = int(found[1]) if found else getattr(error, "errno", None) or 0
+            why = OSError(number, os.strerror(number) if number else first_line(error))
             _settle(folder)
-    if why:
+    if why is not None:
         _drop_late_words()
-        raise _NotWritten(why)
+        raise why
 
 
 def _settle(folder: Path) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from gpcjax.errors import UserError
+from gpcjax.errors import unwritten
 from gpcjax.sweep.atomic import clean, write_atomic
 
 
@@ -20,5 +20,6 @@ def write_files(folder: Path, files: Mapping[str, bytes | str], mend: str) -> tu
         try:
             write_atomic(folder / name, written)
         except OSError as error:
-            raise UserError(f"{folder / name}: cannot be written ({error.strerror}), {mend}") from None
+            line = f"{folder / name}: cannot be written ({error.strerror}), {mend}"
+            raise unwritten(error, line) from None
     return tuple(folder / name for name in files)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from gpcjax.errors import UserError
+from gpcjax.errors import UserError, unwritten
 
 LOCK = ".gpcjax.lock"
 """The locked file in a run folder. What it says is for people; what counts is the lock on it."""
@@ -51,9 +51,8 @@ def held(out: Path) -> Iterator[None]:
             "wait until it ends, or give a new folder (--out)"
         ) from None
     except OSError as error:
-        raise UserError(
-            f"{out}: nothing can be written there ({error.strerror}), give a new folder"
-        ) from None
+        line = f"{out}: nothing can be written there ({error.strerror}), give a new folder"
+        raise unwritten(error, line) from None
     _held[folder] = threading.get_ident(), descriptor
     try:
         yield

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Container, Iterable
 from pathlib import Path
 
-from gpcjax.errors import UserError
+from gpcjax.errors import UserError, unwritten
 from gpcjax.sweep import growth
 from gpcjax.sweep.atomic import clean, target_of
 from gpcjax.sweep.layout import (
@@ -136,7 +136,7 @@ def make_writable(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"{out}: nothing can be written there ({reason(error)}), {GIVE_NEW}") from None
+        raise unwritten(error, f"{out}: nothing can be written there ({reason(error)}), {GIVE_NEW}") from None
     check_writable(out, GIVE_NEW)
 
 
@@ -150,7 +150,7 @@ def check_writable(out: Path, instead: str = "report on a copy of it") -> None:
         with tempfile.TemporaryFile(dir=out) as file:
             file.write(b"x" * 4096)  # an empty file fits on a full disk
     except OSError as error:
-        raise UserError(f"{out}: nothing can be written there ({reason(error)}), {instead}") from None
+        raise unwritten(error, f"{out}: nothing can be written there ({reason(error)}), {instead}") from None
 
 
 def set_aside(out: Path, *paths: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpcjax.errors import UserError
+from gpcjax.errors import unwritten
 from gpcjax.report import compare_page, html, words
 from gpcjax.report.compare import Comparison
 from gpcjax.report.document import Code, Document, Heading, Kind, Paragraph, Picture, Sheet, Warnings
@@ -115,7 +115,6 @@ def write(
     try:
         write_atomic(path, html.render(Document(title, tuple(blocks))))
     except OSError as error:
-        raise UserError(
-            f"{path}: cannot be written ({error.strerror}): make room and give the right to write"
-        ) from None
+        line = f"{path}: cannot be written ({error.strerror}): make room and give the right to write"
+        raise unwritten(error, line) from None
     return path
