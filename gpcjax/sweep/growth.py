@@ -11,6 +11,7 @@ read the rows.
 
 import dataclasses
 import functools
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
-from gpcjax.sweep.boxes import box_of, given_settings, uncovered, values_in
+from gpcjax.sweep.boxes import Box, box_of, given_settings, uncovered, values_in
 from gpcjax.sweep.labels import LABELS, labels_of
 from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns
@@ -64,13 +65,14 @@ def covering(manifest: Mapping[str, Any], spec: SweepSpec, together: bool = True
     """
     if (hash_ := _covered_by_one(manifest, spec)) is not None or not together:
         return hash_
+    wanted = as_dict(spec)
     held = {
-        each["hash"]: from_dict(each["specification"])
+        each["hash"]: _held(each["specification"])
         for each in requests(manifest)
-        if not contradictions(each["specification"], as_dict(spec))
+        if not contradictions(each["specification"], wanted)
     }
-    names = dict.fromkeys(name for one in (*held.values(), spec) for name in given_settings(one))
-    boxes = [box_of(one, names) for one in held.values()]
+    names = tuple(dict.fromkeys(name for one in (*held.values(), spec) for name in given_settings(one)))
+    boxes = [_box(one, names) for one in held.values()]
     if len(boxes) < 2 or uncovered(spec, boxes):
         return None
     whole = uncovered(spec, [])
@@ -79,12 +81,13 @@ def covering(manifest: Mapping[str, Any], spec: SweepSpec, together: bool = True
 
 
 def _covered_by_one(manifest: Mapping[str, Any], spec: SweepSpec) -> str | None:
+    wanted = as_dict(spec)
     for each in requests(manifest):
-        held = from_dict(each["specification"])
-        if contradictions(each["specification"], as_dict(spec)):
+        held = _held(each["specification"])
+        if contradictions(each["specification"], wanted):
             continue
-        names = dict.fromkeys([*given_settings(held), *given_settings(spec)])
-        box = box_of(held, names)
+        names = tuple(dict.fromkeys([*given_settings(held), *given_settings(spec)]))
+        box = _box(held, names)
         # Points are not every combination, so they are looked at one by one.
         if not uncovered(spec, [box]) if held.points or spec.points else box_of(spec, names).within(box):
             return each["hash"]
@@ -97,14 +100,19 @@ def grown(manifest: Mapping[str, Any], spec: SweepSpec) -> dict[str, Any]:
     Raises:
         UserError: a setting has several values now, and what it was before is no number; or too many seeds.
     """
-    specs = [from_dict(each["specification"]) for each in requests(manifest)]
-    union = _united([*specs, spec])
+    specs = [_held(each["specification"]) for each in requests(manifest)]
+    union = _united([from_dict(manifest["specification"]), spec])
     names = varying(union)
+    # What varies is what did before, most often: then only the last of the requests is new.
+    known = requests(manifest) if "asked" in manifest and names == manifest["varying"] else []
     asked = [
-        {"hash": hash_of(as_dict(one)), "specification": as_dict(one), "filled": _filled(one, names)}
-        for one in (*specs, spec)
+        *known,
+        *(
+            {"hash": hash_of(as_dict(one)), "specification": as_dict(one), "filled": _filled(one, names)}
+            for one in (*specs, spec)[len(known) :]
+        ),
     ]
-    held = [box_of(one, names) for one in specs]
+    held = [_box(one, tuple(names)) for one in specs]
     new = uncovered(spec, held)
     return {
         **manifest,
@@ -135,7 +143,22 @@ def check(out: Path, manifest: Mapping[str, Any], spec: SweepSpec) -> None:
             f"{out}: it holds another specification ({', '.join(differences[:3])}{more}): a folder grows by seeds, "
             f"learners, oracles, errors and hyperparameters alone, {GIVE_NEW}"
         )
-    _united([*(from_dict(each["specification"]) for each in requests(manifest)), spec])
+    _united([from_dict(manifest["specification"]), spec])
+
+
+def _held(specification: Mapping[str, Any]) -> SweepSpec:
+    """A specification of a manifest, which is looked at with each request that comes."""
+    return _read(json.dumps(specification))
+
+
+@functools.lru_cache(maxsize=4096)
+def _read(text: str) -> SweepSpec:
+    return from_dict(json.loads(text))
+
+
+@functools.lru_cache(maxsize=8192)
+def _box(spec: SweepSpec, names: tuple[str, ...]) -> Box:
+    return box_of(spec, names)
 
 
 def _united(specs: Sequence[SweepSpec]) -> SweepSpec:

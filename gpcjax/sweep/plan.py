@@ -180,7 +180,14 @@ def canonical(value: object) -> object:
             name: inner if name in OPTIONS and OPTIONS[name].series else canonical(inner)
             for name, inner in value.items()
         }
-    return sorted({json.dumps(item, sort_keys=True) for item in value}) if isinstance(value, list) else value
+    return sorted(set(map(_text, value))) if isinstance(value, list) else value
+
+
+def _text(item: object) -> str:
+    """As JSON has it; of numbers, of which a folder that grew has thousands, in a fifth of the time."""
+    if type(item) is float and math.isfinite(item):
+        return repr(item)
+    return json.dumps(item, sort_keys=True)
 
 
 def joint_of(spec: SweepSpec, algo: str) -> tuple[Point, ...]:

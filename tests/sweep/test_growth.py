@@ -9,18 +9,18 @@ import pandas as pd
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep import origin
+from gpcjax.sweep import growth, origin
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep.growth import covering, grown
+from gpcjax.sweep.growth import covering, grown, hashes
 from gpcjax.sweep.layout import GROWN
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.opening import new_manifest
-from gpcjax.sweep.plan import plan
+from gpcjax.sweep.plan import count, plan, specification_hash, varying
 from gpcjax.sweep.reading import load, read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
-from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.spec import as_dict, spec_of
 from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun, manifest_of
 from tests.sweep.pretended import Pretended, rows
@@ -232,6 +232,33 @@ def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, 
         shutil.rmtree(tmp_path / folder)
     assert grow(tmp_path, pretended, {"seeds": 5, "error": [0.1, 0.2]}) == [20]
     assert len(load(tmp_path)) == 20 * 3
+
+
+def test_a_folder_that_grew_step_by_step_is_as_if_it_had_been_asked_at_once():
+    """What is known of earlier requests is not worked out anew: it comes to the same."""
+    steps = [
+        {"algo": "gpc"},
+        {
+            "algo": "gpc",
+            "seeds": "3-4",
+            "points": [{"policy_length_scale": 0.3}, {"policy_length_scale": 2.0}],
+        },
+        {"algo": ["coach", "gpc-ns"], "error": [0.3, 0.1]},
+        {"algo": "gpc", "points": [{"policy_length_scale": 0.3, "human_length_scale": 0.7}], "delta": 0.1},
+        {"algo": "gpc", "human_length_scale": [0.7, 0.2], "oracle": ["gpc", "lqr"]},
+        {"algo": "gpc", "policy_length_scale": 0.9, "seeds": "1-7"},
+    ]
+    specs = [spec_of(**(BASE | step)) for step in steps]
+    manifest = new_manifest(specs[0], varying(specs[0]), count(specs[0]))
+    for number, spec in enumerate(specs[1:], 2):
+        manifest = grown(manifest, spec)
+        union, names = growth._united(specs[:number]), manifest["varying"]
+        assert manifest["specification"] == as_dict(union) and names == varying(union)
+        assert [each["filled"] for each in manifest["asked"]] == [
+            growth._filled(one, names) for one in specs[:number]
+        ]
+        assert [each["specification"] for each in manifest["asked"]] == list(map(as_dict, specs[:number]))
+        assert list(hashes(manifest)) == list(map(specification_hash, specs[:number]))
 
 
 def test_what_was_measured_is_not_taken_for_a_setting(tmp_path, pretended):
