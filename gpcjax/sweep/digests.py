@@ -82,9 +82,14 @@ def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:
     }
 
 
-def note(manifest: dict[str, Any], specs: Iterable[SweepSpec]) -> None:
-    """Adds to a manifest what the names of specifications stand for: what it says already stays."""
+def note(out: Path, manifest: dict[str, Any], specs: Iterable[SweepSpec]) -> None:
+    """Adds to the manifest of a folder what the names of specifications stand for: what it says already stays.
+
+    Raises:
+        UserError: one of them stood for something else.
+    """
     now = {name: parts for spec in specs for name, parts in digests_of(spec).items()}
+    refuse_changed(out, manifest, now)
     if now:
         manifest[ENTRY] = {**now, **manifest.get(ENTRY, {})}
 

@@ -5,18 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from gpcjax.sweep import machine
-from gpcjax.sweep.growth import covering, grown
+from gpcjax.sweep.growth import contradictions, covering, grown
 from gpcjax.sweep.keeping import ENTRY, Keeping, as_json
 from gpcjax.sweep.labels import labels_of
 from gpcjax.sweep.layout import DAMAGED, FORMAT, MANIFEST, tell
 from gpcjax.sweep.manifest import DamagedManifest, read_manifest
 from gpcjax.sweep.parts import origins_of, refuse_measured
 from gpcjax.sweep.plan import count, hash_of, specification_hash, varying
-from gpcjax.sweep.runfolder import own_parts, set_aside
+from gpcjax.sweep.runfolder import any_parts, set_aside
 from gpcjax.sweep.sealing import Origin
 from gpcjax.sweep.shards import Shard, share_of
 from gpcjax.sweep.siblings import asked_with
 from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
+from gpcjax.sweep.store import SEALED
 from gpcjax.sweep.versions import versions
 
 UNKNOWN = "unknown, the manifest that said it was lost"
@@ -50,7 +51,7 @@ def begin(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard | No
     manifest, what = _held(out)
     if manifest is not None:
         return manifest
-    if own_parts(out, specification_hash(spec)):
+    if any_parts(out, spec):
         manifest = _from_parts(spec, out)
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
         return manifest
@@ -93,34 +94,37 @@ def _held(out: Path) -> tuple[dict[str, Any] | None, str]:
 def _from_parts(spec: SweepSpec, out: Path) -> dict[str, Any]:
     """The manifest of a folder that has lost it: what its parts say.
 
-    They may be all that there is to compute, and of other versions or another machine than these.
+    They may be all that there is to compute, and of other versions or another machine than these. `spec` need not have
+    been asked for before.
     """
-    manifest, origins = _recovered(spec, origins_of(out))
+    specs, origins = _recovered(spec, origins_of(out))
+    manifest = _asked_for(specs)
     manifest["versions"] = origins[0].versions if origins else manifest["versions"]
     manifest["recovered"] = True
+    for name in SEALED:
+        if said := [each.manifest[name] for each in origins if name in each.manifest]:
+            manifest[name] = said[-1]  # the newest has all names
     if {origin.machine for origin in origins} - {machine.kind_of(manifest["machine"])}:
         manifest["machine"] = {"processor": UNKNOWN}
     return manifest
 
 
-def _recovered(spec: SweepSpec, origins: list[Origin]) -> tuple[dict[str, Any], list[Origin]]:
-    """The manifest with all that its folder was asked for, as far as parts tell, and the origins that are of it.
+def _recovered(spec: SweepSpec, origins: list[Origin]) -> tuple[list[SweepSpec], list[Origin]]:
+    """All that its folder was asked for, as far as parts tell, in its order; and the origins that are of it.
 
-    A part lists what had been asked when it was written: so all that names a known specification is known too. Each
-    of these is asked for again, even what a later one covers: parts are named after it, and shares follow the order.
+    Each of these is asked for again, even what a later one covers: parts are named after it, and shares follow the
+    order.
     """
-    known, mine = {specification_hash(spec): spec}, list[Origin]()
-    while True:
-        mine = [each for each in origins if known.keys() & {each.hash, *map(hash_of, each.asked)}]
-        named = {hash_of(one): one for each in mine for one in each.asked}
-        if not named.keys() - known.keys():
-            break
-        known |= {hash_: from_dict(one) for hash_, one in named.items() if hash_ not in known}
-    longest_first = sorted(mine, key=lambda each: len(each.asked), reverse=True)
-    order = dict.fromkeys(hash_of(one) for each in longest_first for one in each.asked)
-    return _asked_for([known[hash_] for hash_ in {**order, **known}]), [
-        each for each in mine if each.hash in known
-    ]
+    told = [dict(zip(each.named or map(hash_of, each.asked), each.asked, strict=True)) for each in origins]
+    wanted, hash_ = as_dict(spec), specification_hash(spec)
+    named = {its: one for own in told for its, one in own.items() if not contradictions(one, wanted)}
+    known = {its: from_dict(one) for its, one in named.items()}
+    if hash_ not in known and (not known or any(each.hash == hash_ for each in origins)):
+        known[hash_] = spec
+    mine = [each for each in origins if each.hash in known]
+    orders = [each.order or list(own) for each, own in zip(origins, told, strict=True) if each.hash in known]
+    order = dict.fromkeys(its for each in sorted(orders, key=len, reverse=True) for its in each)
+    return [known[its] for its in {**order, **known} if its in known], mine
 
 
 def _asked_for(specs: Sequence[SweepSpec]) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def run(
             refuse_other(out, manifest, keeping)
             refuse_other_versions(out, manifest)
             note_machine(out, manifest, here)
-            note(manifest, specs)
+            note(out, manifest, specs)
             agree = told(manifest["versions"], machine.kind_of(here), keeping, manifest.get(DIGESTS, {}))
             orders = Orders(
                 keeping=keeping,

@@ -67,7 +67,7 @@ def check_sweep(out: Path, spec: SweepSpec, grows: bool = True, copied: Iterable
         hash_ = specification_hash(spec)
         if MANIFEST in names:
             _check_manifest(out, spec, hash_, grows)
-        elif not own_parts(out, hash_):
+        elif not (any_parts(out, spec) if grows else own_parts(out, hash_)):
             _check_empty(out, names, {hash_, *copied})
     except OSError as error:
         raise UserError(f"{out}: cannot be read ({reason(error)}), {GIVE_NEW}") from None
@@ -77,7 +77,7 @@ def _check_manifest(out: Path, spec: SweepSpec, hash_: str, grows: bool) -> None
     try:
         manifest = read_manifest(out)
     except DamagedManifest as error:
-        if own_parts(out, hash_):
+        if any_parts(out, spec) if grows else own_parts(out, hash_):
             return  # they say what they are: a manifest can be made anew
         none = "no part beside it says to be of this sweep"
         raise UserError(f"{out / MANIFEST}: {error.what}, and {none}: restore it, or {GIVE_NEW}") from None
@@ -118,6 +118,20 @@ def own_parts(out: Path, hash_: str) -> list[str]:
     folder = out / EPISODES
     names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
     return sorted(name for name in names if (part := parse_part(name)) and part.hash == hash_)
+
+
+def any_parts(out: Path, spec: SweepSpec) -> bool:
+    """Whether there are parts that say to be of a specification, or of others that it can be added to.
+
+    Raises:
+        OSError, UserError: they cannot be read.
+    """
+    if own_parts(out, specification_hash(spec)):
+        return True
+    from gpcjax.sweep.parts import origins_of  # which loads pyarrow: only where a manifest is lost
+
+    asked = (one for each in origins_of(out) for one in each.asked)
+    return any(not growth.contradictions(one, as_dict(spec)) for one in asked)
 
 
 def clean_parts(out: Path) -> None:

@@ -7,6 +7,7 @@ is what is decoded.
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -35,7 +36,14 @@ class Origin(NamedTuple):
     machine: str
     """`gpcjax.sweep.machine.kind_of` the machine that computed them."""
     asked: Sequence[Mapping[str, Any]] = ()
-    """All specifications that had been asked of the folder by then, as JSON has them."""
+    """Specifications that had been asked of the folder by then, as JSON has them: its own, and those that no part named
+    before. Parts of 0.2 have all of them, and nothing of what follows."""
+    named: Sequence[str] = ()
+    """Their hashes."""
+    order: Sequence[str] = ()
+    """The hashes of all that had been asked for by then, the first one first."""
+    manifest: Mapping[str, Any] = MappingProxyType({})
+    """Entries of the manifest that nothing else could tell of."""
 
 
 class Opened(NamedTuple):
@@ -65,7 +73,10 @@ def sealed(
     replaces: Sequence[str] = (),
 ) -> bytes:
     """The file of a part: rows, and what they are. `kind` is the folder that it goes to."""
-    seal: dict[str, Any] = {"format": FORMAT, "table": kind, **origin._asdict(), **(sums or {})}
+    told = origin._asdict() | {"manifest": dict(origin.manifest)}
+    if kind != EPISODES:  # these tell what their part is, the others no more than whose they are
+        told = {name: told[name] for name in ("hash", "versions", "machine")}
+    seal: dict[str, Any] = {"format": FORMAT, "table": kind, **told, **(sums or {})}
     if replaces:
         seal["replaces"] = list(replaces)
     sink = pa.BufferOutputStream()
@@ -106,7 +117,11 @@ def opened(out: Path, name: str) -> Opened | None:
         } as seal:
             if (version, table, told) == (FORMAT, EPISODES, part.hash):
                 asked = [each for each in seal.get("asked") or () if isinstance(each, dict)]
-                origin = Origin(part.hash, seal["versions"], str(seal.get("machine", "")), asked)
+                named, order = (list(map(str, seal.get(name) or ())) for name in ("named", "order"))
+                more = seal.get("manifest") or {}
+                origin = Origin(
+                    part.hash, seal["versions"], str(seal.get("machine", "")), asked, named, order, more
+                )
                 sums = {folder: seal[folder] for folder in BESIDE if isinstance(seal.get(folder), str)}
                 return Opened(origin, sums, tuple(seal.get("replaces", ())), data)
     return None  # whole, and not written by this version

@@ -8,6 +8,7 @@ Many small parts become one as they come: the new one says which it replaces, an
 killed in between leaves both, and the rows count once.
 """
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +18,9 @@ import pyarrow as pa
 
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.blocks import Block
+from gpcjax.sweep.digests import ENTRY as DIGESTS
 from gpcjax.sweep.growth import hashes, requests
+from gpcjax.sweep.keeping import ENTRY as KEEPING
 from gpcjax.sweep.layout import (
     BESIDE,
     DAMAGED,
@@ -41,6 +44,9 @@ TOGETHER = 16
 LARGEST_PART = 1 << 26
 """Bytes from which a part stays as it is, and parts are put together, however few: they go through memory."""
 
+SEALED = (KEEPING, DIGESTS)
+"""Entries of a manifest that its parts have, too."""
+
 
 class Store:
     """The parts of one run folder, for the one process that writes there (`gpcjax.sweep.lock.held`).
@@ -60,12 +66,18 @@ class Store:
         self._out, self._manifest, self._say = out, manifest, say
         self._varying = tuple(manifest["varying"])
         asked = requests(manifest)
+        self._asked = {each["hash"]: each["specification"] for each in asked}
         self._origin = Origin(
             request or asked[0]["hash"],
             manifest["versions"],
             machine,
-            [each["specification"] for each in asked],
+            order=list(self._asked),
         )
+        algo = set(self._asked[self._origin.hash]["algo"]) if self._origin.hash in self._asked else set()
+        self._alike = {hash_ for hash_, each in self._asked.items() if set(each["algo"]) == algo}
+        """Requests whose rows may be in one part: what is missing there has the same values for all of them."""
+        self._named: dict[str, Sequence[str]] = {}
+        """By part: the requests that it tells of."""
         for folder in (EPISODES, *BESIDE):
             (out / folder).mkdir(exist_ok=True)
         numbers = [part.number for name in names_in(out / EPISODES) if (part := parse_part(name))]
@@ -90,8 +102,10 @@ class Store:
             found.repeated += len(held & stored)
             stored |= held
             self.machines.add("" if part.origin is None else part.origin.machine)
-            if part.origin is not None and part.origin[:2] == self._origin[:2]:
-                self._note(part.name, part.size, part.origin.machine)
+            if part.origin is not None:
+                self._named[part.name] = part.origin.named
+                if part.origin.hash in self._alike:
+                    self._note(part.name, part.size, part.origin.machine)
         self._remove(found.replaced)
         for folder, name in orphans(self._out):
             part = parse_part(name)
@@ -141,7 +155,15 @@ class Store:
         self._write(tables, machine or self._origin.machine)
 
     def _write(self, tables: Mapping[str, pa.Table], machine: str, replaces: Sequence[str] = ()) -> None:
-        origin = self._origin._replace(machine=machine)
+        known = set(itertools.chain.from_iterable(self._named.values()))
+        new = {self._origin.hash, *(each for name in replaces for each in self._named.get(name, ()))}
+        asked = {hash_: each for hash_, each in self._asked.items() if hash_ in new or hash_ not in known}
+        origin = self._origin._replace(
+            machine=machine,
+            asked=list(asked.values()),
+            named=list(asked),
+            manifest={name: self._manifest[name] for name in SEALED if name in self._manifest},
+        )
         files = {folder: sealed(tables[folder], folder, origin) for folder in BESIDE if folder in tables}
         sums = {folder: sha256(data) for folder, data in files.items()}
         episodes = sealed(tables[EPISODES], EPISODES, origin, sums, replaces)
@@ -150,6 +172,7 @@ class Store:
             write_atomic(self._out / folder / name, data)
         write_atomic(self._out / EPISODES / name, episodes)
         self._next += 1
+        self._named[name] = list(asked)
         self._note(name, len(episodes) + sum(map(len, files.values())), machine)
 
     def _note(self, name: str, size: int, machine: str) -> None:
@@ -178,6 +201,7 @@ class Store:
     def _remove(self, names: Iterable[str]) -> None:
         """Removes parts whose rows are in another one."""
         for name in names:
+            self._named.pop(name, None)
             for folder in (EPISODES, *BESIDE):
                 (self._out / folder / name).unlink(missing_ok=True)
 

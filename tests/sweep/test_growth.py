@@ -1,6 +1,7 @@
 """Run folders that are asked for more, with workers that are only pretended."""
 
 import dataclasses
+import itertools
 import json
 import shutil
 
@@ -15,8 +16,9 @@ from gpcjax.sweep.growth import covering, grown, hashes
 from gpcjax.sweep.layout import GROWN
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.opening import new_manifest
+from gpcjax.sweep.parts import origins_of
 from gpcjax.sweep.plan import count, plan, specification_hash, varying
-from gpcjax.sweep.reading import load, read_corrections, read_episodes
+from gpcjax.sweep.reading import load, read_corrections, read_episodes, read_kept
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.runfolder import check_sweep
 from gpcjax.sweep.seeds import Seeds
@@ -216,6 +218,68 @@ def test_so_is_one_of_requests_that_later_ones_cover(tmp_path, pretended, capsys
     ]
     pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
     assert "not rows of this sweep" not in capsys.readouterr().err
+
+
+def test_a_larger_request_makes_a_lost_manifest_anew(tmp_path, pretended, capsys):
+    """Parts say what they are of: who asks for more need not have asked for it before."""
+    assert grow(tmp_path, pretended, {}, {"error": 0.3}) == [4, 4]
+    (tmp_path / "manifest.json").unlink()
+    capsys.readouterr()
+    assert grow(tmp_path, pretended, {"error": [0.1, 0.3], "seeds": 3}) == [4]
+    said = capsys.readouterr().err
+    assert "is missing: made anew from the parts" in said and "it grows by 4 to 12 cells" in said
+    manifest = read_manifest(tmp_path)
+    assert manifest["complete"] and [each["specification"]["seeds"] for each in manifest["asked"]] == [
+        2,
+        2,
+        3,
+    ]
+    assert len(load(tmp_path)) == 12 * 3
+    (tmp_path / "manifest.json").unlink()
+    with pytest.raises(UserError, match="it holds rows of another sweep and no manifest"):
+        grow(tmp_path, pretended, {"episodes": 4})
+
+
+def test_so_it_knows_what_of_its_runs_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "Processes", Pretended(kept=True))
+    for seeds in (2, 3):
+        sweep(tmp_path, **(BASE | {"seeds": seeds}), keep="states", keep_at="best")
+        (tmp_path / "manifest.json").unlink()
+    with pytest.raises(
+        UserError, match="of its runs it keeps states after the best episode, not nothing: give --keep"
+    ):
+        sweep(tmp_path, **(BASE | {"seeds": 4}))
+    sweep(tmp_path, **(BASE | {"seeds": 4}), keep="states", keep_at="best")
+    assert read_manifest(tmp_path)["keeping"] == {"what": "states", "every": 0, "best": True}
+    assert len(load(tmp_path)) == 8 * 3 and len(read_kept(tmp_path)) == 8
+
+
+def test_parts_of_many_requests_are_put_together(tmp_path, pretended):
+    """And say all that was asked for, each request in one of them; so no part grows with the number of requests."""
+    requests = [
+        {"algo": "gpc", "seeds": f"{number}-{number}", "noise": 0.1 + number / 100} for number in range(70)
+    ]
+    assert sum(grow(tmp_path, pretended, *requests)) == 70
+    assert grow(tmp_path, pretended, {"algo": "coach"}, {"algo": "coach", "error": 0.5}) == [2, 2]
+    assert len(list((tmp_path / "episodes").iterdir())) < 20
+    before, rows = read_manifest(tmp_path), read_episodes(tmp_path)
+    assert len(rows) == 74 * 3 and len(read_corrections(tmp_path)) == 74 * 2
+    gpc = rows[rows["algo"] == "gpc"].drop_duplicates("seed")
+    assert (
+        np.array_equal(gpc["noise"], 0.1 + gpc["seed"] / 100)
+        and rows[rows["algo"] == "coach"]["noise"].isna().all()
+    )
+    named = [each.named for each in origins_of(tmp_path)]
+    assert sum(map(len, named)) < 2 * 72 and {*itertools.chain(*named)} == {*hashes(before)}
+    (tmp_path / "manifest.json").unlink()
+    assert grow(tmp_path, pretended, requests[3]) == [0]
+    after = read_manifest(tmp_path)
+    assert [each["hash"] for each in after["asked"]] == [each["hash"] for each in before["asked"]]
+    pd.testing.assert_frame_equal(read_episodes(tmp_path), rows)
+    # A setting that begins to vary has the value that it had, of each request that a part has rows of.
+    assert grow(tmp_path, pretended, requests[0] | {"rate": 0.5}) == [1]
+    rates = load(tmp_path).drop_duplicates(["algo", "error", "seed", "rate", "noise"])["rate"]
+    assert rates.value_counts().to_dict() == {0.05: 74, 0.5: 1}
 
 
 def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, pretended, capsys):
