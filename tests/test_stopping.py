@@ -192,3 +192,18 @@ def test_in_another_thread_nothing_is_changed():
     thread.start()
     thread.join()
     assert seen == [(handler, None)]
+
+
+def test_a_signal_while_a_block_ends_writes_into_nobody_elses_file(monkeypatch):
+    """The descriptors are just being closed: what is opened next may get their numbers."""
+    heard, close = stopping._Heard(), os.close
+    heard.open()
+
+    def interrupted(descriptor):
+        close(descriptor)
+        heard.note(signal.SIGTERM, None)
+
+    monkeypatch.setattr(stopping.os, "close", interrupted)
+    monkeypatch.setattr(stopping.os, "write", lambda descriptor, data: pytest.fail("written"))
+    heard.close()
+    assert heard.first == signal.SIGTERM and heard.wakeup is None

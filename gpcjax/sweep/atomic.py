@@ -47,8 +47,9 @@ def write_atomic(path: Path, data: bytes | str) -> None:
             temporary.write_bytes(data.encode() if isinstance(data, str) else data)
     except OSError as error:
         # Python names none where a disk is full, and else the temporary file, which nobody knows.
-        error.filename, error.filename2 = os.fspath(path), None
-        raise
+        if error.errno is None:
+            raise
+        raise type(error)(error.errno, error.strerror, os.fspath(path)) from None
 
 
 def target_of(name: str) -> str | None:

@@ -84,8 +84,6 @@ def uncovered(spec: SweepSpec, boxes: Sequence[Box]) -> int:
 
     Seeds are not gone through one by one: it takes as long as there are combinations of the rest.
     """
-    first, _ = spec.seeds.spans[0]
-    alone = dataclasses.replace(spec, seeds=Seeds(((first, first),)))
 
     @functools.cache
     def new_seeds(which: tuple[int, ...]) -> int:
@@ -94,8 +92,21 @@ def uncovered(spec: SweepSpec, boxes: Sequence[Box]) -> int:
         return len(both) - len(functools.reduce(operator.or_, held)) if held else len(both)
 
     return sum(
-        new_seeds(tuple(place for place, box in enumerate(boxes) if box.holds(cell))) for cell in plan(alone)
+        new_seeds(tuple(place for place, box in enumerate(boxes) if box.holds(cell)))
+        for cell in _combinations(spec)
     )
+
+
+def is_within(spec: SweepSpec, box: Box) -> bool:
+    """Whether a box, whose settings have all names of a specification, has all of its cells."""
+    return len(spec.seeds | box.seeds) == len(box.seeds) and all(map(box.holds, _combinations(spec)))
+
+
+@functools.lru_cache(maxsize=1)
+def _combinations(spec: SweepSpec) -> list[Cell]:
+    """The cells of one seed: each request of a folder is held against them."""
+    first, _ = spec.seeds.spans[0]
+    return plan(dataclasses.replace(spec, seeds=Seeds(((first, first),))))
 
 
 def box_of(spec: SweepSpec, names: Iterable[str]) -> Box:

@@ -65,12 +65,14 @@ def refuse_changed(out: Path, manifest: Mapping[str, Any], now: Digests) -> None
 
 def check_changed(out: Path, spec: SweepSpec) -> None:
     """The same of what a folder is asked for, before anything is written. Raises UserError."""
+    now = digests_of(spec)
+    if not now:
+        return
     try:
         manifest = read_manifest(out)
     except UserError:
         return  # there is none, or it is checked and told elsewhere
-    if manifest.get(ENTRY):
-        refuse_changed(out, manifest, digests_of(spec))
+    refuse_changed(out, manifest, now)
 
 
 def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:

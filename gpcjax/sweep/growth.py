@@ -19,7 +19,7 @@ from typing import Any
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
-from gpcjax.sweep.boxes import Box, box_of, given_settings, uncovered, values_in
+from gpcjax.sweep.boxes import Box, box_of, given_settings, is_within, uncovered, values_in
 from gpcjax.sweep.labels import LABELS, labels_of
 from gpcjax.sweep.layout import GIVE_NEW, GROWN, UNSEALED
 from gpcjax.sweep.options import concerns
@@ -89,7 +89,7 @@ def _covered_by_one(manifest: Mapping[str, Any], spec: SweepSpec) -> str | None:
         names = tuple(dict.fromkeys([*given_settings(held), *given_settings(spec)]))
         box = _box(held, names)
         # Points are not every combination, so they are looked at one by one.
-        if not uncovered(spec, [box]) if held.points or spec.points else box_of(spec, names).within(box):
+        if is_within(spec, box) if held.points or spec.points else box_of(spec, names).within(box):
             return each["hash"]
     return None
 

@@ -33,7 +33,7 @@ def held(out: Path) -> Iterator[None]:
     inherits it. A thread that holds a folder may take it again; any other is refused.
 
     On NFS the lock reaches other machines where the server keeps locks (Linux from 2.6.12, without `local_lock`). On a
-    file system without any lock the block runs unprotected.
+    file system without any lock the block is protected from the other threads of this process alone.
 
     Raises:
         UserError: another process or thread holds it, or no file can be made there.
@@ -44,7 +44,9 @@ def held(out: Path) -> Iterator[None]:
         yield
         return
     try:
-        descriptor = _patiently_locked(folder / LOCK)
+        mine = threading.get_ident(), _patiently_locked(folder / LOCK)
+        if _held.setdefault(folder, mine) is not mine:  # without a lock nothing but this process knows of it
+            raise BlockingIOError
     except BlockingIOError:
         raise UserError(
             f"{out}: another sweep writes there{_holder(folder / LOCK)}: "
@@ -53,12 +55,11 @@ def held(out: Path) -> Iterator[None]:
     except OSError as error:
         line = f"{out}: nothing can be written there ({error.strerror}), give a new folder"
         raise unwritten(error, line) from None
-    _held[folder] = threading.get_ident(), descriptor
     try:
         yield
     finally:
         del _held[folder]
-        _release(folder / LOCK, descriptor)
+        _release(folder / LOCK, mine[1])
 
 
 def _patiently_locked(path: Path) -> int | None:
@@ -105,6 +106,7 @@ def _locked(path: Path) -> int | None:
                 if error.errno not in _NO_LOCKS:
                     raise
                 os.close(descriptor)
+                path.unlink(missing_ok=True)
                 return None
             if _is(path, descriptor):
                 text = {"host": socket.gethostname(), "pid": os.getpid(), "since": _now()}
@@ -143,7 +145,7 @@ def _holder(path: Path) -> str:
     try:
         text = json.loads(path.read_bytes())
         return f" (process {int(text['pid'])} on {str(text['host'])[:80]} since {str(text['since'])[:40]})"
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (OSError, ValueError, OverflowError, TypeError, KeyError, RecursionError):
         return ""
 
 

@@ -32,6 +32,9 @@ _FIELDS: dict[str, type | tuple[type, ...]] = {
 _LARGEST_NUMBER = 1e18
 """Bound on all its numbers: none is negative, infinite or no number."""
 
+_LONG = 20_000
+"""Letters of an entry that is no longer indented."""
+
 
 class DamagedManifest(UserError):
     """There is a manifest, but it is not what a sweep has written: `what` says how it differs."""
@@ -51,7 +54,7 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
         OSError: the folder is missing or cannot be written.
     """
     sealed = {**manifest, "sha256": _sum_of(manifest)}
-    write_atomic(out / MANIFEST, json.dumps(sealed, indent=2) + "\n")
+    write_atomic(out / MANIFEST, _laid_out(sealed))
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
@@ -117,6 +120,19 @@ def is_complete(out: Path) -> bool:
         return bool(read_manifest(out)["complete"])
     except UserError:
         return False
+
+
+def _laid_out(manifest: Mapping[str, Any]) -> str:
+    """As text for people. What is long has a line for each entry: to indent it takes ten times as long."""
+    entries = []
+    for name, value in manifest.items():
+        text = json.dumps(value)
+        if len(text) < _LONG:
+            text = json.dumps(value, indent=2).replace("\n", "\n  ")
+        elif isinstance(value, list):
+            text = "[\n    " + ",\n    ".join(map(json.dumps, value)) + "\n  ]"
+        entries.append(f"  {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(entries) + "\n}\n"
 
 
 def are_digests(value: object) -> bool:

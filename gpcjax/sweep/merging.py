@@ -17,14 +17,14 @@ from gpcjax.sweep.digests import ENTRY as DIGESTS
 from gpcjax.sweep.digests import conflicts
 from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.keeping import ENTRY, held_keeping, words_of
-from gpcjax.sweep.layout import BESIDE, EPISODES, MANIFEST, SHARDS, tell
+from gpcjax.sweep.layout import BESIDE, DAMAGED, EPISODES, MANIFEST, SHARDS, tell
 from gpcjax.sweep.lock import held, holder
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.rows import IDENTITY, cells_of, key_of
-from gpcjax.sweep.runfolder import check_sweep, clean_parts, make_writable
+from gpcjax.sweep.runfolder import check_sweep, clean_parts, make_writable, set_aside
 from gpcjax.sweep.shards import Shard, held_shard
 from gpcjax.sweep.spec import from_dict
 
@@ -63,13 +63,13 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
         UserError: a shard is missing, not complete, damaged or being written; shards are not of the same sweep, number
             of shards or versions, or overlap; or `out` holds something else.
     """
-    found = list(_found(folders))
+    each = list(_found(folders))
     if out is None:
         wholes = [folder for folder in folders if (folder / SHARDS).is_dir()]
         if len(wholes) != 1:
             raise UserError("merge: --out is missing, give the run folder of the whole")
         out = wholes[0]
-    shares = _checked([_share(folder, manifest) for folder, manifest in found])
+    shares = _checked([_share(folder, manifest) for folder, manifest in each])
     first = shares[0].manifest
     specs = [from_dict(request["specification"]) for request in requests(first)]
     names = tuple(first["varying"])
@@ -81,7 +81,11 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
     make_writable(out)
     with held(out):
         clean_parts(out)
-        stored = _keys(out, first, Found()) if before is not None else {}
+        found = Found()
+        stored = _keys(out, first, found)
+        for name in found.parts:
+            set_aside(out, *(out / folder / name for folder in (EPISODES, *BESIDE)))
+        found.speak(out, tell, f"moved to {out / DAMAGED}, the shards have its rows")
         there = set().union(*stored.values())
         for share in shares:
             for name, cells in share.parts.items():

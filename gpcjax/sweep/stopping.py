@@ -56,11 +56,14 @@ class _Heard:
         self.wakeup, self._writer = os.pipe()
 
     def close(self) -> None:
-        self.deferred = False
-        for descriptor in (self.wakeup, self._writer):
+        descriptors = self.wakeup, self._writer
+        self.wakeup = self._writer = (
+            None  # first: a signal that comes in meanwhile writes into nobody else's file
+        )
+        for descriptor in descriptors:
             if descriptor is not None:
                 os.close(descriptor)
-        self.wakeup = self._writer = None
+        self.deferred = False
 
 
 _heard = _Heard()

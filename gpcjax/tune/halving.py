@@ -6,6 +6,7 @@ number of seeds and of episodes, and the points of one batch go up together. Sta
 
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ from gpcjax.sweep.seeds import Seeds
 
 FORM = "numbers of seeds that grow, each with the episodes of its runs if need be: 4x10,8x20,16"
 ETA = Numbers(1.1, 100)
+
+_RUNG = re.compile(r"([0-9]{1,9})(?:x([0-9]{1,9}))?")
 
 
 class Rung(NamedTuple):
@@ -34,10 +37,11 @@ def rungs_of(text: str | None, seeds: Seeds, episodes: int, source: str) -> tupl
     whole = Rung(len(seeds), episodes)
     rungs = []
     for word in () if text is None else text.split(","):
-        count, times, length = word.strip().partition("x")
-        if not count.isdigit() or not (length.isdigit() if times else True):
+        found = _RUNG.fullmatch(word.strip())
+        if found is None:
             raise UserError(f"{source} {shown(text)}: give {FORM}")
-        rung = Rung(int(count), int(length) if times else episodes)
+        count, length = found.groups()
+        rung = Rung(int(count), episodes if length is None else int(length))
         if not (COUNT.admits(rung.seeds) and COUNT.admits(rung.episodes)):
             raise UserError(f"{source} {shown(word)}: give {FORM}")
         if rung.seeds > whole.seeds or rung.episodes > whole.episodes:

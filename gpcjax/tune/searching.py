@@ -5,9 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from gpcjax.report.groups import gather
+from gpcjax.sweep.counted import read_counted
 from gpcjax.sweep.executors import Executor
 from gpcjax.sweep.layout import tell
-from gpcjax.sweep.reading import read
+from gpcjax.sweep.requested import chosen_of
 from gpcjax.sweep.run import run
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.sweep.telling import Watcher
@@ -87,19 +88,30 @@ def _run(
     )
     folder.mkdir(parents=True, exist_ok=True)
     run(spec, folder, executor.jobs, executor, watcher=watcher, say=lambda line: None)
-    return scores_in(folder, [trial.point for trial in batch], [trial.number for trial in batch], objectives)
+    return scores_in(
+        folder, spec, [trial.point for trial in batch], [trial.number for trial in batch], objectives
+    )
 
 
 def scores_in(
     folder: Path,
+    spec: SweepSpec,
     points: Sequence[Mapping[str, float]],
     numbers: Sequence[int],
     objectives: Sequence[Objective],
 ) -> dict[int, tuple[float, ...]]:
-    """What the rows of a run folder say of these points, by the numbers given; nan for one without rows."""
-    rows = read(folder, lambda line: None)
-    study = gather(rows.episodes, rows.manifest)
-    groups, none = by_point(study, list(points[0])), (float("nan"),) * len(objectives)
+    """What the rows of a run folder say of the points of `spec`, by the numbers given; nan for one without rows.
+
+    Those of earlier points are read, and no more: there are ever more of them.
+    """
+    none = (float("nan"),) * len(objectives)
+    episodes, manifest = read_counted(folder, lambda line: None)
+    if episodes is not None:
+        episodes, manifest = chosen_of(episodes, manifest, spec)
+    if episodes is None or not len(episodes.seeds):
+        return dict.fromkeys(numbers, none)
+    study = gather(episodes, manifest)
+    groups = by_point(study, list(points[0]))
     found = {}
     for number, point in zip(numbers, points, strict=True):
         mine = groups.get(key_of(point, study))

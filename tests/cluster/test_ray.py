@@ -137,6 +137,14 @@ def test_an_address_where_no_ray_is(monkeypatch):
     assert signal.getsignal(signal.SIGTERM) == before
 
 
+@pytest.mark.parametrize("port", ["\u00b2", "9" * 5000, "99999"])
+def test_a_port_that_is_none_is_one_line(port):
+    with pytest.raises(
+        UserError, match=f"^address 127.0.0.1:{port}: no Ray that this machine belongs to is there"
+    ):
+        Ray(f"127.0.0.1:{port}")._connect()
+
+
 def test_an_address_where_nobody_listens_is_told_at_once():
     """Ray itself would ask for many minutes."""
     with socket.socket() as closed:

@@ -280,6 +280,15 @@ class TestMerging:
         with pytest.raises(UserError, match=r"shard 2/3 is damaged \(episodes/part.*\), run it again"):
             merge([out])
 
+    def test_a_damaged_part_of_the_whole_is_set_aside_and_not_written_over(self, out, capsys):
+        part = min((merge([out]) / "episodes").iterdir())
+        part.write_bytes(damaged := part.read_bytes()[:-100])
+        capsys.readouterr()
+        assert len(read_episodes(merge([out]))) == 7
+        assert (out / "damaged" / "episodes" / part.name).read_bytes() == damaged
+        line = f"{out}: 1 damaged part moved to {out / 'damaged'}, the shards have its rows (episodes/{part.name}"
+        assert line in capsys.readouterr().err
+
     def test_a_folder_that_holds_something_else(self, out, tmp_path):
         (tmp_path / "else").mkdir()
         (tmp_path / "else" / "letter.txt").write_text("")

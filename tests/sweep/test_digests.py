@@ -69,6 +69,15 @@ def test_code_that_was_edited_adds_nothing_to_a_folder(tmp_path, modules):
     assert len(read_episodes(sweep(out, seeds=2, **OWN))) == 6
 
 
+def test_parts_say_it_where_the_manifest_is_lost(tmp_path, modules):
+    out = sweep(tmp_path / "out", seeds=1, **OWN)
+    (out / "manifest.json").unlink()
+    (modules / "ruleconsts.py").write_text("GAIN = 0.75\n")
+    assert "(ruleconsts): bring that back" in refusal(sweep, out, seeds=2, **OWN)
+    (modules / "ruleconsts.py").write_text("GAIN = 0.5\n")
+    assert len(read_episodes(sweep(out, seeds=2, **OWN))) == 6
+
+
 def test_an_expert_that_was_saved_again_is_another_one(tmp_path, monkeypatch):
     learner = make_learner("coach", "mountaincar")
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -52,7 +53,9 @@ def test_another_process_is_refused_until_it_is_killed(tmp_path, holder):
     assert not (tmp_path / LOCK).exists()
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1]", '{"pid": "x"}', '{"pid": 1}', "\udcff", "[" * 10_000])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1]", '{"pid": "x"}', '{"pid": 1}', '{"pid": Infinity}', "\udcff", "[" * 10_000]
+)
 def test_a_holder_that_says_nothing_readable(tmp_path, holder, text):
     (tmp_path / LOCK).write_bytes(text.encode(errors="surrogateescape"))
     assert refused(tmp_path) == (
@@ -163,6 +166,11 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
 
     monkeypatch.setattr(lock.fcntl, "flock", none)
     with held(tmp_path), held(tmp_path):
+        assert not list(tmp_path.iterdir())
+        with ThreadPoolExecutor(1) as pool:
+            line = pool.submit(refused, tmp_path).result()
+        assert line.startswith(f"{tmp_path}: another sweep writes there: wait until it ends")
+    with held(tmp_path):
         pass
 
 

@@ -3,9 +3,9 @@ import json
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep.layout import BESIDE, EPISODES, FORMAT, UNSEALED, parse_part, part_name
+from gpcjax.sweep.layout import BESIDE, EPISODES, FORMAT, GROWN, UNSEALED, parse_part, part_name
 from gpcjax.sweep.lock import LOCK
-from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.plan import specification_hash
 from gpcjax.sweep.runfolder import check_report, check_sweep, make_writable, set_aside
 from gpcjax.sweep.spec import spec_of
@@ -219,6 +219,17 @@ def test_a_damaged_manifest_beside_parts_that_say_whose_they_are(tmp_path):
     part.write_bytes(b"rows")
     check_sweep(tmp_path, SPEC)
     assert message in refusal(check_sweep, tmp_path, spec_of(env="cartpole", error=[0, 0.2]))
+
+
+def test_a_long_manifest_is_laid_out_by_its_entries(tmp_path):
+    """A short one as ever."""
+    short = begun(tmp_path, SPEC) / "manifest.json"
+    manifest = read_manifest(tmp_path)
+    assert short.read_text() == json.dumps(manifest, indent=2) + "\n"
+    one = {"hash": manifest["hash"], "specification": manifest["specification"], "filled": {}}
+    write_manifest(tmp_path, manifest | {"format": GROWN, "asked": [one] * 100})
+    assert len(short.read_text().splitlines()) < 300
+    assert read_manifest(tmp_path)["asked"] == [one] * 100
 
 
 def test_a_manifest_is_read_and_checked_by_any_text_of_the_same_content(tmp_path):

@@ -84,7 +84,25 @@ def test_rungs_end_with_all():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x", "4x", "0", "17", "4x31", "8,4", "4x20,8x10", "4,4", "4x10x2", "-4", "1.5"]
+    "text",
+    [
+        "",
+        "x",
+        "4x",
+        "0",
+        "17",
+        "4x31",
+        "8,4",
+        "4x20,8x10",
+        "4,4",
+        "4x10x2",
+        "-4",
+        "1.5",
+        "\u00b2x3",
+        "4x\u00b2",
+        "9" * 5000,
+        "\u0664",
+    ],
 )
 def test_no_rungs(text):
     with pytest.raises(UserError, match=r"^--rungs"):

@@ -16,7 +16,7 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report.figures import style
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
-from gpcjax.tune import carrying_out
+from gpcjax.tune import carrying_out, searching
 from tests.docs.pages import ROOT, blocks
 from tests.sweep.folders import begun
 from tests.tune.landscape import Landscape
@@ -111,6 +111,19 @@ def test_stopped_anywhere_it_goes_on_to_the_same(workers, tmp_path, capsys, rung
     assert Counter(ran) == Counter(whole.cells)
     pd.testing.assert_frame_equal(table(tmp_path / "o"), expected)
     assert tuned(tmp_path / "o") == best
+
+
+def test_points_are_scored_once(workers, monkeypatch):
+    """There are ever more of them in a folder."""
+    counts, gather = [], searching.gather
+
+    def counted(episodes, manifest):
+        counts.append(len(episodes.seeds))
+        return gather(episodes, manifest)
+
+    monkeypatch.setattr(searching, "gather", counted)
+    assert cli.main([*WORDS, *SEARCH, "--trials", "12"]) == 0
+    assert counts == [4 * 2] * 3
 
 
 def test_halving_runs_fewer_cells_and_tells_of_all(workers, tmp_path, capsys):

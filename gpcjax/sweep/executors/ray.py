@@ -120,7 +120,7 @@ class Ray:
             return
         try:
             socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_SECONDS).close()
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, ValueError) as error:  # the last of digits that are no port's
             raise self._unreached(error) from None
 
     def _begin(self, ray: Any, options: dict[str, Any]) -> None:
