@@ -6,6 +6,7 @@ process was killed, is given again.
 """
 
 import logging
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gpcjax.errors import UserError
+from gpcjax.errors import Unwritten, UserError
 from gpcjax.tune.objectives import Objective
 from gpcjax.tune.space import Range, Space
 
@@ -24,6 +25,9 @@ NAME = "gpcjax"
 
 _BATCH = "batch"
 """What Optuna keeps of a trial: which batch it belongs to."""
+
+_NO_DISK = re.compile("disk is full|readonly|read-only|disk I/O")
+"""What SQLite says of a disk that takes no more."""
 
 STARTUP = 16
 """Trials at random, before the estimator of densities says where to go."""
@@ -73,8 +77,8 @@ class Trials:
         self._handles: dict[int, Any] = {}
         """Optuna's trials by number."""
         self._distributions = {name: _distribution(optuna, domain) for name, domain in space.items()}
-        path = folder / DATABASE
-        try:
+        self._path = path = folder / DATABASE
+        with self._database(Exception):  # sqlalchemy has dozens of them, and what was damaged more
             storage = optuna.storages.RDBStorage(f"sqlite:///{path}", heartbeat_interval=None)
             with _quiet():
                 self._study = optuna.create_study(
@@ -85,15 +89,31 @@ class Trials:
                 )
                 if not self._study.metric_names:
                     self._study.set_metric_names([each.name for each in objectives])
-                self._study.trials  # noqa: B018  (reads the database)
-        except Exception as error:  # sqlalchemy has dozens of them
-            why = " ".join(str(getattr(error, "orig", error)).split())[:200]
-            raise UserError(
-                f"{path}: this database cannot be used ({why}): move it away, or give a new --out"
-            ) from None
+            self._read()
+
+    @contextmanager
+    def _database(self, *kinds: type[Exception]) -> Iterator[None]:
+        """Around what reads or writes the database: errors of these kinds, or of its own, are told in one line."""
+        from sqlalchemy.exc import SQLAlchemyError
+
+        try:
+            yield
+        except (self._optuna.exceptions.StorageInternalError, SQLAlchemyError, *kinds) as error:
+            cause = error.__cause__ or error
+            why = " ".join(str(getattr(cause, "orig", cause)).split())[:200]
+            line = f"{self._path}: this database cannot be used ({why}): "
+            if _NO_DISK.search(why):
+                raise Unwritten(
+                    f"{line}make room or make it writable, then the same command goes on"
+                ) from None
+            raise UserError(f"{line}move it away, or give a new --out") from None
 
     def told(self) -> list[Told]:
         """The trials that were looked at, in their order."""
+        with self._database():
+            return self._read()
+
+    def _read(self) -> list[Told]:
         ended = [trial for trial in self._study.get_trials(deepcopy=False) if trial.state.is_finished()]
         return [
             Told(
@@ -114,6 +134,10 @@ class Trials:
             size: trials of a batch.
             most: trials of all batches together.
         """
+        with self._database():
+            return self._batch(size, most)
+
+    def _batch(self, size: int, most: int) -> list[Trial]:
         asked = self._asked()
         interrupted = any(not trial.state.is_finished() for trial in asked)
         last = int(asked[-1].user_attrs[_BATCH]) if asked else -1
@@ -157,6 +181,10 @@ class Trials:
 
         One that did not come to the last rung is pruned for Optuna; one whose score is no number has failed.
         """
+        with self._database():
+            self._tell(trial, scores, rung, whole)
+
+    def _tell(self, trial: Trial, scores: Sequence[float], rung: int, whole: bool) -> None:
         state, handle = self._optuna.trial.TrialState, self._handles[trial.number]
         if self._study.get_trials(deepcopy=False)[trial.number].state.is_finished():
             return

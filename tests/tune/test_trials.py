@@ -1,11 +1,12 @@
 """Trials in Optuna's database: the same whatever the process that asks for them goes through."""
 
 import json
+import sqlite3
 from wsgiref.util import setup_testing_defaults
 
 import pytest
 
-from gpcjax.errors import UserError
+from gpcjax.errors import Unwritten, UserError
 from gpcjax.tune.objectives import OBJECTIVES
 from gpcjax.tune.space import Range, Values
 from gpcjax.tune.trials import DATABASE, NAME, Trials
@@ -102,6 +103,44 @@ def test_no_database(tmp_path):
     (tmp_path / DATABASE).write_text("what is this")
     with pytest.raises(UserError, match=r"study.db: this database cannot be used \(file is not a database\)"):
         opened(tmp_path)
+
+
+@pytest.mark.parametrize("what", ["told", "next_batch", "tell"])
+def test_a_database_that_is_damaged_meanwhile_is_one_line(tmp_path, what):
+    trials = opened(tmp_path)
+    (trial,) = trials.next_batch(1, 2)
+    with sqlite3.connect(tmp_path / DATABASE) as connection:
+        tables = [
+            name for (name,) in connection.execute("select name from sqlite_master where type = 'table'")
+        ]
+        for table in tables:
+            connection.execute(f"alter table {table} rename to gone_{table}")
+    call = {
+        "told": trials.told,
+        "next_batch": lambda: trials.next_batch(1, 2),
+        "tell": lambda: trials.tell(trial, [1.0], 0, True),
+    }
+    with pytest.raises(
+        UserError, match=r"study.db: this database cannot be used \(no such table: .*\): move it away"
+    ):
+        call[what]()
+
+
+def test_a_database_on_a_full_disk_is_one_line_and_no_mistake(tmp_path, monkeypatch):
+    from optuna.storages import RDBStorage
+    from sqlalchemy.exc import OperationalError
+
+    trials = opened(tmp_path)
+    (trial,) = trials.next_batch(1, 2)
+
+    def full(*arguments, **options):
+        raise OperationalError("insert", {}, sqlite3.OperationalError("database or disk is full"))
+
+    monkeypatch.setattr(RDBStorage, "set_trial_user_attr", full)
+    with pytest.raises(
+        Unwritten, match=r"study.db: this database cannot be used \(database or disk is full\): make room"
+    ):
+        trials.tell(trial, [1.0], 0, True)
 
 
 def test_the_dashboard_reads_it(tmp_path):
