@@ -11,6 +11,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import (
     COUNT,
     FINITE,
+    POSITIVE,
     SWITCH,
     Numbers,
     OneOf,
@@ -67,7 +68,8 @@ def make_learner(
             (`nu` for the policy only).
         **options: `obs_size`, `action_size`, and
             for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
-            `scaling` (w, one factor for each observation dimension; GPC-NS multiplies by it what it has normalised),
+            `scaling` (w, one factor above 0 for each observation dimension; GPC-NS multiplies by it what it has
+            normalised),
             `human_scaling` (that of the human model, for observation and action), `constant_rate`, `static_rate`,
             `noise`, `human_noise`, `sparsify`, `on_full`;
             for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`;
@@ -293,7 +295,7 @@ def _number(name: str, value: Any) -> Array:
 
 
 def _vector(name: str, value: Any, size: int) -> Array:
-    """One hyperparameter for each of `size` dimensions; what is in no table is any finite number."""
-    allowed = ALLOWED.get(name, FINITE)
+    """One hyperparameter for each of `size` dimensions; a scale, which is in no table, is above 0."""
+    allowed = ALLOWED.get(name, POSITIVE)
     assert isinstance(allowed, Numbers)
     return jnp.asarray(checked_series(name, value, size, allowed), float)

@@ -28,7 +28,15 @@ from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC, GPCState
-from gpcjax.learners.recipes import RECIPE, check_plain, leaves_of, pack_own, recipe_of, template_of_own
+from gpcjax.learners.recipes import (
+    RECIPE,
+    check_plain,
+    leaves_of,
+    other_function,
+    pack_own,
+    recipe_of,
+    template_of_own,
+)
 from gpcjax.policies.folder import FORMAT, first_line
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
@@ -81,7 +89,13 @@ def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[st
     except UserError as error:
         raise UserError(f"{_ANOTHER} ({error})") from None
     if jax.tree.structure((learner, state)) != jax.tree.structure(template):
-        raise UserError(_ANOTHER)
+        name = other_function(learner, template[0])
+        why = (
+            ""
+            if name is None
+            else f" ({name} is another function than its class has: give it one of its own)"
+        )
+        raise UserError(_ANOTHER + why)
     return card, arrays
 
 
