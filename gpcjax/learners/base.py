@@ -240,7 +240,7 @@ class Learner(ByIdentity):
         told = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((info.rate, moment.obs, moment.action))]
         finite = jnp.stack([*_stays_finite(new, state), *told]).all()
         kept = jax.tree.map(lambda now, old: jnp.where(given & finite, now, old), new, state)
-        status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status)
+        status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status).astype(jnp.int32)
         learned = (advice != 0) & finite & (status == Status.OK)
         return kept, dataclasses.replace(info, rate=jnp.where(learned, info.rate, 0.0), status=status)
 

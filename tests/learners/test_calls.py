@@ -305,6 +305,52 @@ def test_what_learning_gives_is_looked_at(own):
         gpcjax.Session(learner)
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        (
+            "status",
+            np.zeros(2, np.int32),
+            r"Info.status is int32 of shape \(2,\), it should be one whole number",
+        ),
+        ("status", np.float64(0.5), r"Info.status is float64 of shape \(\)"),
+        ("status", None, "Info.status is None"),
+        (
+            "appended",
+            np.zeros(7, bool),
+            r"Info.appended is bool of shape \(7,\), it should be bool of shape \(2,\)",
+        ),
+        ("replaced", np.zeros(2), "Info.replaced is float64"),
+        ("full", np.bool_(False), r"Info.full is bool of shape \(\)"),
+        ("sigma_policy", np.zeros(1), r"Info.sigma_policy is float64 of shape \(1,\)"),
+        ("sigma_human", None, "Info.sigma_human is None"),
+    ],
+)
+def test_every_part_of_an_info_is_looked_at(field, value, told):
+    class Odd(Linear):
+        def learn(self, state, moment, advice, key):
+            new, info = super().learn(state, moment, advice, key)
+            return new, eqx.tree_at(lambda info: getattr(info, field), info, value)
+
+    learner = Odd(**SIZES)
+    with pytest.raises(ValueError, match=rf"^Odd.learn does not fit \({told}"):
+        learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
+    with pytest.raises(ValueError, match=r"^Odd.learn does not fit"):
+        gpcjax.Session(learner)
+
+
+@pytest.mark.parametrize("status", [0, gpcjax.Status.OK, np.int64(0)])
+def test_an_info_of_pythons_numbers(status):
+    class Plain(Linear):
+        def learn(self, state, moment, advice, key):
+            new, _ = super().learn(state, moment, advice, key)
+            return new, eqx.tree_at(lambda info: info.status, gpcjax.Info.of([0.1] * 2), status)
+
+    learner = Plain(**SIZES)
+    _, info = learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
+    assert info.rate.tolist() == [0.1, 0.0] and info.status.dtype == np.int32
+
+
 def test_an_action_of_another_size():
     learner = Narrow(**SIZES)
     state = learner.init()
