@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PyTree
 from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.learners.calls import Called
+from gpcjax.learners.calls import Called, check_kept
 from gpcjax.learners.forms import check
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
@@ -84,6 +84,7 @@ def rehearse(learner: Learner, state: State) -> None:
 
 def check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
+    check_kept(state)
     expected = jax.eval_shape(lambda: learner.init(seeded_key()))
     shapes = list(map(_shape, jax.tree.leaves(state)))
     if jax.tree.structure(state) == jax.tree.structure(expected) and None not in shapes:

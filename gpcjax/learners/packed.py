@@ -23,6 +23,7 @@ from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
 from gpcjax.gp.renormalised import Renormalised
 from gpcjax.learners.base import Learner, State
+from gpcjax.learners.calls import check_kept
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
@@ -61,7 +62,9 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
     Raises:
         ValueError: a learner or a state that has no format, that is not finite, or not the learner's.
     """
-    if type(checked_learner(learner)) not in _BUILT_IN:
+    learner = checked_learner(learner)
+    check_kept(state)
+    if type(learner) not in _BUILT_IN:
         return _packed_own(fixed(learner), state)
     settings = _settings(learner, state)
     template = _template(settings)
