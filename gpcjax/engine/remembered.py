@@ -12,7 +12,6 @@ import random
 import sys
 import types
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -20,6 +19,17 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from gpcjax.engine.held import (
+    MISSING,
+    RANDOM,
+    Content,
+    Names,
+    cell_content,
+    of_a_dict,
+    of_cells,
+    of_content,
+    same,
+)
 from gpcjax.engine.writes import Writes, writes
 
 MOST, LARGEST = 10_000, 2**26
@@ -27,65 +37,9 @@ MOST, LARGEST = 10_000, 2**26
 
 _LIBRARIES = frozenset(("builtins", "jax", "jaxlib", "numpy", "equinox", "gpcjax", "jaxtyping"))
 _PLAIN = (str, bytes, int, float, complex, type(None), jax.Array)
-_RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
 _BOUND = (types.BuiltinMethodType, types.MethodWrapperType)
 _MADE_WITH = frozenset(("__new__", "__init__", "__post_init__", "__init_subclass__", "__setstate__"))
 """Methods that write into what is being made."""
-_MISSING = object()
-
-
-@dataclass
-class _Names:
-    """Names that have values: of a module, of the functions around one, of an object."""
-
-    thing: Any
-    """Whose they are; kept, so that nothing else has its identity."""
-    read: Callable[[], dict[str, Any]]
-    write: Callable[[str, Any], Any]
-    """With `_MISSING` it takes the name away."""
-    before: dict[str, Any]
-    after: dict[str, Any]
-
-    def changed(self, own: Writes) -> dict[str, bool]:
-        """Those with another value than before, and whether the function itself has given it."""
-        changed = [name for name in {**self.before, **self.after} if not _same(*self._values(name))]
-        return {name: own.reaches(name) or _is_traced(self._values(name)[1]) for name in changed}
-
-    def put_back(self, own: Writes) -> None:
-        now = self.read()
-        for name, is_own in self.changed(own).items():
-            before, after = self._values(name)
-            if is_own and _same(now.get(name, _MISSING), after):
-                self.write(name, before)
-
-    def _values(self, name: str) -> tuple[Any, Any]:
-        return self.before.get(name, _MISSING), self.after.get(name, _MISSING)
-
-
-@dataclass
-class _Content:
-    """What a table, a list, an array or a generator of random numbers holds."""
-
-    thing: Any
-    read: Callable[[], Any]
-    write: Callable[[Any], Any]
-    before: Any
-    after: Any
-
-    def put_back(self, own: Writes) -> None:
-        now = self.read()
-        if _same(self.before, self.after):
-            return
-        if _same(now, self.after) and (own.content or isinstance(self.thing, _RANDOM) or _is_traced(now)):
-            self.write(self.before)
-        elif isinstance(now, dict) and _is_traced(now):
-            kept = {
-                name: self.before.get(name, _MISSING) if _is_traced(each) else each
-                for name, each in now.items()
-            }
-            self.write({name: each for name, each in kept.items() if each is not _MISSING})
-        elif isinstance(now, list) and _is_traced(now):
-            self.write([each for each in now if not _is_traced(each)])
 
 
 class Remembered:
@@ -97,8 +51,8 @@ class Remembered:
     """
 
     def __init__(self, function: Any):
-        self._names: list[_Names] = []
-        self._contents: list[_Content] = []
+        self._names: list[Names] = []
+        self._contents: list[Content] = []
         self._bytes = 0
         self._writes = Writes()
         self._classes: set[int] = set()
@@ -129,14 +83,14 @@ class Remembered:
     def is_changed(self) -> bool:
         """Whether the call has changed anything, as far as it can be told from what others did meanwhile."""
         return any(any(held.changed(self._writes).values()) for held in self._names) or any(
-            not _same(held.before, held.after) for held in self._contents
+            not same(held.before, held.after) for held in self._contents
         )
 
     @property
     def is_disturbed(self) -> bool:
         """Whether somebody else has changed something, during the call or until now."""
         return any(not all(held.changed(self._writes).values()) for held in self._names) or any(
-            not _same(held.after, held.read()) for held in (*self._names, *self._contents)
+            not same(held.after, held.read()) for held in (*self._names, *self._contents)
         )
 
     def put_back(self) -> None:
@@ -165,11 +119,11 @@ class Remembered:
             return [
                 part for each in thing.__mro__ if _is_own(each.__module__) for part in self._of_a_class(each)
             ]
-        how = _how(thing)
+        how = of_content(thing)
         if how is not None:
             content = how[0]()
-            self._contents.append(_Content(thing, *how, content, content))
-            return () if isinstance(thing, _RANDOM) else _parts(content)
+            self._contents.append(Content(thing, *how, content, content))
+            return () if isinstance(thing, RANDOM) else _parts(content)
         if _library(type(thing).__module__):
             return (thing.__wrapped__,) if hasattr(thing, "__wrapped__") else ()
         return self._of_an_object(thing)
@@ -181,9 +135,9 @@ class Remembered:
         names, around = tuple(dict.fromkeys(_names(function.__code__))), function.__globals__
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         self._used.update(names)
-        self._keep(function, *_of_a_dict(around, names))
-        self._keep(function, lambda: {name: _cell(cell) for name, cell in cells.items()}, _into_cells(cells))
-        own = [*(around.get(name) for name in names), *(_cell(cell) for cell in cells.values())]
+        self._keep(function, *of_a_dict(around, names))
+        self._keep(function, *of_cells(cells))
+        own = [*(around.get(name) for name in names), *(cell_content(cell) for cell in cells.values())]
         # And modules that the function itself imports.
         own += [sys.modules[name] for name in writes(function.__code__).imports if name in sys.modules]
         return (
@@ -198,7 +152,7 @@ class Remembered:
 
     def _of_a_module(self, module: types.ModuleType, names: tuple[str, ...]) -> Iterable[Any]:
         """What code with these names may use of a person's module."""
-        self._keep(module, *_of_a_dict(vars(module), names))
+        self._keep(module, *of_a_dict(vars(module), names))
         used = [vars(module).get(name) for name in names]
         # Of a package, too, one of whose modules it is.
         below = (
@@ -214,10 +168,10 @@ class Remembered:
         read = lambda: {name: value for name, value in dict(vars(kind)).items() if _is_data(name, value)}  # noqa: E731
 
         def write(name: str, value: Any) -> None:
-            type.__delattr__(kind, name) if value is _MISSING else type.__setattr__(kind, name, value)
+            type.__delattr__(kind, name) if value is MISSING else type.__setattr__(kind, name, value)
 
         self._keep(kind, read, write)
-        methods = [(name, each) for name, value in vars(kind).items() for each in _functions(value)]
+        methods = [(name, each) for name, value in dict(vars(kind)).items() for each in _functions(value)]
         for name, method in methods:
             if name not in _MADE_WITH:
                 self._methods[name].append(method)
@@ -240,7 +194,7 @@ class Remembered:
             self._bytes += array.nbytes
             copied = array.copy()
             self._contents.append(
-                _Content(array, array.copy, functools.partial(np.copyto, array), copied, copied)
+                Content(array, array.copy, functools.partial(np.copyto, array), copied, copied)
             )
         return ()
 
@@ -256,10 +210,12 @@ class Remembered:
         return *parts, *self._attributes(thing)
 
     def _slots(self, thing: Any, names: tuple[str, ...]) -> Iterable[Any]:
-        read = lambda: {name: getattr(thing, name) for name in names if hasattr(thing, name)}  # noqa: E731
+        def read() -> dict[str, Any]:
+            found = {name: getattr(thing, name, MISSING) for name in names}
+            return {name: value for name, value in found.items() if value is not MISSING}
 
         def write(name: str, value: Any) -> None:
-            object.__delattr__(thing, name) if value is _MISSING else object.__setattr__(thing, name, value)
+            object.__delattr__(thing, name) if value is MISSING else object.__setattr__(thing, name, value)
 
         if names:
             self._keep(thing, read, write)
@@ -269,54 +225,12 @@ class Remembered:
         own = getattr(thing, "__dict__", None)
         if not isinstance(own, dict):
             return ()
-        self._keep(thing, *_of_a_dict(own))
+        self._keep(thing, *of_a_dict(own))
         return list(own.values())
 
     def _keep(self, thing: Any, read: Callable[[], dict[str, Any]], write: Callable[[str, Any], Any]) -> None:
         now = read()
-        self._names.append(_Names(thing, read, write, now, now))
-
-
-def _of_a_dict(
-    values: dict[str, Any], names: tuple[str, ...] | None = None
-) -> tuple[Callable[[], dict[str, Any]], Callable[[str, Any], Any]]:
-    """How these names of a table of names are read and written; all of them without `names`."""
-
-    def read() -> dict[str, Any]:
-        return dict(values) if names is None else {name: values[name] for name in names if name in values}
-
-    def write(name: str, value: Any) -> None:
-        if value is _MISSING:
-            values.pop(name, None)
-        else:
-            values[name] = value
-
-    return read, write
-
-
-def _into_cells(cells: dict[str, types.CellType]) -> Callable[[str, Any], Any]:
-    return lambda name, value: setattr(cells[name], "cell_contents", value)
-
-
-def _how(thing: Any) -> tuple[Callable[[], Any], Callable[[Any], Any]] | None:
-    """How what it holds is read and written; None where that is its attributes."""
-    if isinstance(thing, dict):
-        return lambda: dict(thing), lambda content: (thing.clear(), thing.update(content))
-    if isinstance(thing, list):
-        return lambda: list(thing), lambda content: thing.__setitem__(slice(None), content)
-    if isinstance(thing, collections.deque):
-        return lambda: list(thing), lambda content: (thing.clear(), thing.extend(content))
-    if isinstance(thing, set):
-        return lambda: list(thing), lambda content: (thing.clear(), thing.update(content))
-    if isinstance(thing, np.random.Generator):
-        return lambda: thing.bit_generator.state, lambda content: setattr(
-            thing.bit_generator, "state", content
-        )
-    if isinstance(thing, np.random.RandomState):
-        return lambda: thing.get_state(legacy=False), thing.set_state
-    if isinstance(thing, random.Random) and not isinstance(thing, random.SystemRandom):
-        return thing.getstate, thing.setstate
-    return None
+        self._names.append(Names(thing, read, write, now, now))
 
 
 def _generators(module: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
@@ -327,38 +241,8 @@ def _generators(module: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
     return (np.random.mtrand._rand,) if drawn else ()
 
 
-def _cell(cell: types.CellType) -> Any:
-    try:
-        return cell.cell_contents
-    except ValueError:  # a variable that has no value yet
-        return None
-
-
 def _parts(content: Any) -> Iterator[Any]:
     return iter(content.values() if isinstance(content, dict) else content)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether two contents refer to the same things, or to equal numbers, texts and arrays that were copied."""
-    if one is other:
-        return True
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, dict):
-        return list(one) == list(other) and all(_same(one[name], other[name]) for name in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-    return isinstance(one, str | bytes | int | float | complex) and (one == other or one != one != other)
-
-
-def _is_traced(value: Any) -> bool:
-    """Whether jax traces with it, or with what it consists of."""
-    try:
-        return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
-    except Exception:  # jax cannot order the names of every table
-        return False
 
 
 def _is_used_up(thing: Any) -> bool:

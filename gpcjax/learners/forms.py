@@ -25,8 +25,8 @@ def check_learned(source: str, given: Any, state: Any, action: Any) -> None:
     for name in ("appended", "replaced", "full"):
         check(source, f"Info.{name}", getattr(info, name), flag)
     status = _as_array(info.status)
-    shape, kind = form(status) or (None, None)
-    if shape != () or not jnp.issubdtype(kind, jnp.integer):
+    known = form(status)
+    if known is None or known[0] != () or not jnp.issubdtype(known[1], jnp.integer):
         raise does_not_fit(
             source, f"Info.status is {worded(status)}, it should be one whole number, a Status"
         )

@@ -54,7 +54,7 @@ def recipe_of(learner: Learner) -> Recipe:
     name = f"{type(learner).__module__}:{type(learner).__qualname__}"
     if "<" in name:
         raise UserError(f"learner {name}: its class is defined within a function, define it in a module")
-    settings = {"obs_size": learner.obs_size, "action_size": learner.action_size}
+    settings: dict[str, Any] = {"obs_size": learner.obs_size, "action_size": learner.action_size}
     spec = find("learner", name, "learner")
     numeric = {each.name: each.compiled == "value" for each in spec.settings}
     for argument in arguments(spec):
