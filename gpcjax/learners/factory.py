@@ -68,8 +68,7 @@ def make_learner(
             (`nu` for the policy only).
         **options: `obs_size`, `action_size`, and
             for GPC and GPC-NS `capacity` (points in each dictionary, 512), `policy_capacity`, `human_capacity`,
-            `scaling` (w, one factor above 0 for each observation dimension; GPC-NS multiplies by it what it has
-            normalised),
+            `scaling` (w, one factor for each observation dimension; GPC-NS multiplies by it what it has normalised),
             `human_scaling` (that of the human model, for observation and action), `constant_rate`, `static_rate`,
             `noise`, `human_noise`, `sparsify`, `on_full`;
             for COACH `lower`, `upper` and `counts` (the grid), `beta`, `magnitude`, `coach_constant`;

@@ -96,7 +96,7 @@ def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[st
         why = (
             ""
             if name is None
-            else f" ({name} is another function than its class has: give it one of its own)"
+            else f" ({name} is another function than its class has: write a class that has it)"
         )
         raise UserError(_ANOTHER + why)
     return card, arrays

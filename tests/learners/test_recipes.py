@@ -207,7 +207,7 @@ def test_what_cannot_be_saved_is_refused(tmp_path):
         (
             odd,
             odd.init(),
-            r"cannot be saved: .* \(activation is another function than its class has: give it one",
+            r"cannot be saved: .* \(activation is another function than its class has: write a",
         ),
         (within, begun(within, 0), "its class is defined within a function"),
         (usual, {**begun(usual, 0), "count": np.zeros(2)}, "cannot be saved: give a learner"),
