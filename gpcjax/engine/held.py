@@ -29,11 +29,15 @@ class Names:
     """With `MISSING` it takes the name away."""
     before: dict[str, Any]
     after: dict[str, Any]
+    freely: bool
+    """Code that was not looked at may give them values."""
 
     def changed(self, own: Writes) -> dict[str, bool]:
         """Those with another value than before, and whether the function itself has given it."""
         changed = [name for name in {**self.before, **self.after} if not same(*self._values(name))]
-        return {name: own.reaches(name) or is_traced(self._values(name)[1]) for name in changed}
+        return {
+            name: self.freely or own.reaches(name) or is_traced(self._values(name)[1]) for name in changed
+        }
 
     def put_back(self, own: Writes) -> None:
         """To what they were, where the function has changed them, and nobody since."""

@@ -30,13 +30,15 @@ from gpcjax.engine.held import (
     of_content,
     same,
 )
-from gpcjax.engine.writes import Writes, writes
+from gpcjax.engine.writes import Writes, functions, names_in, writes
 
 MOST, LARGEST = 10_000, 2**26
 """Things that are looked at, and bytes of numpy's arrays that are copied: what lies beyond may change unseen."""
 
 _LIBRARIES = frozenset(("builtins", "jax", "jaxlib", "numpy", "equinox", "gpcjax", "jaxtyping"))
 _PLAIN = (str, bytes, int, float, complex, type(None), jax.Array)
+_BARE = frozenset(("builtins", "abc", "argparse", "enum", "types", "typing"))
+"""Modules whose classes call and write nothing of those that are made from them."""
 _BOUND = (types.BuiltinMethodType, types.MethodWrapperType)
 _MADE_WITH = frozenset(("__new__", "__init__", "__post_init__", "__init_subclass__", "__setstate__"))
 """Methods that write into what is being made."""
@@ -132,7 +134,7 @@ class Remembered:
         if _library(function.__module__):
             return ()
         self._writes = self._writes.also(writes(function.__code__))
-        names, around = tuple(dict.fromkeys(_names(function.__code__))), function.__globals__
+        names, around = tuple(dict.fromkeys(names_in(function.__code__))), function.__globals__
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         self._used.update(names)
         self._keep(function, *of_a_dict(around, names))
@@ -170,24 +172,23 @@ class Remembered:
         def write(name: str, value: Any) -> None:
             type.__delattr__(kind, name) if value is MISSING else type.__setattr__(kind, name, value)
 
-        self._keep(kind, read, write)
-        methods = [(name, each) for name, value in dict(vars(kind)).items() for each in _functions(value)]
+        self._keep(kind, read, write, freely=not _is_own(kind.__module__))
+        if not _is_own(kind.__module__):
+            return ()
+        methods = [(name, each) for name, value in dict(vars(kind)).items() for each in functions(value)]
         for name, method in methods:
             if name not in _MADE_WITH:
                 self._methods[name].append(method)
         # What is installed may call whatever method of a class that is made from its own.
-        from_others = any(each is not object and not _is_own(each.__module__) for each in kind.__mro__)
-        special = [name for name, _ in methods if from_others or name.startswith("__")]
+        inherits = any(not _is_own(each) and each not in _BARE for each in _modules(kind))
+        special = [name for name, _ in methods if inherits or name.startswith("__")]
         return *read().values(), *self._of_methods(*special, *self._used)
 
     def _of_methods(self, *names: str) -> list[types.FunctionType]:
-        """Methods of classes seen so far that are used by one of these names; of what is installed, no more is seen."""
+        """Methods of classes seen so far that are used by one of these names."""
         if "getattr" in self._used:
             names = tuple(self._methods)
-        used = [method for name in names for method in self._methods.pop(name, ())]
-        for method in used:
-            self._writes = self._writes.also(writes(method.__code__))
-        return [method for method in used if _is_own(method.__module__)]
+        return [method for name in names for method in self._methods.pop(name, ())]
 
     def _of_an_array(self, array: Any) -> Iterable[Any]:
         if array.flags.writeable and self._bytes + array.nbytes <= LARGEST and array.dtype != object:
@@ -200,16 +201,20 @@ class Remembered:
 
     def _of_an_object(self, thing: Any) -> Iterable[Any]:
         """An object of somebody's class: what it holds, and what all of its class have in common."""
-        parts = []
-        for each in type(thing).__mro__:
+        kind, parts = type(thing), []
+        # Of what code that is installed writes into its objects nothing is known.
+        others = [each for each in _modules(kind) if not (_is_own(each) or _library(each) or each in _BARE)]
+        if not all(_top(each) in sys.stdlib_module_names for each in others):
+            self._writes = self._writes.also(Writes(content=True))
+        for each in kind.__mro__:
             if not _library(each.__module__):
                 parts += self._of_a_class(each)
                 slots = vars(each).get("__slots__", ())
                 slots = (slots,) if isinstance(slots, str) else tuple(slots)
-                parts += self._slots(thing, slots)
-        return *parts, *self._attributes(thing)
+                parts += self._slots(thing, slots, freely=bool(others))
+        return *parts, *self._attributes(thing, freely=bool(others))
 
-    def _slots(self, thing: Any, names: tuple[str, ...]) -> Iterable[Any]:
+    def _slots(self, thing: Any, names: tuple[str, ...], freely: bool) -> Iterable[Any]:
         def read() -> dict[str, Any]:
             found = {name: getattr(thing, name, MISSING) for name in names}
             return {name: value for name, value in found.items() if value is not MISSING}
@@ -218,19 +223,25 @@ class Remembered:
             object.__delattr__(thing, name) if value is MISSING else object.__setattr__(thing, name, value)
 
         if names:
-            self._keep(thing, read, write)
+            self._keep(thing, read, write, freely)
         return read().values()
 
-    def _attributes(self, thing: Any) -> Iterable[Any]:
+    def _attributes(self, thing: Any, freely: bool = False) -> Iterable[Any]:
         own = getattr(thing, "__dict__", None)
         if not isinstance(own, dict):
             return ()
-        self._keep(thing, *of_a_dict(own))
+        self._keep(thing, *of_a_dict(own), freely=freely)
         return list(own.values())
 
-    def _keep(self, thing: Any, read: Callable[[], dict[str, Any]], write: Callable[[str, Any], Any]) -> None:
+    def _keep(
+        self,
+        thing: Any,
+        read: Callable[[], dict[str, Any]],
+        write: Callable[[str, Any], Any],
+        freely: bool = False,
+    ) -> None:
         now = read()
-        self._names.append(Names(thing, read, write, now, now))
+        self._names.append(Names(thing, read, write, now, now, freely))
 
 
 def _generators(module: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
@@ -252,34 +263,26 @@ def _is_used_up(thing: Any) -> bool:
     return hasattr(type(thing), "__next__")
 
 
-def _names(code: types.CodeType) -> Iterator[str]:
-    """The global names that a function uses, and those of the functions in it."""
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _names(constant)
-
-
-def _functions(value: Any) -> Iterator[types.FunctionType]:
-    """Those that an attribute of a class is: a method, or what makes one of it."""
-    if isinstance(value, types.FunctionType):
-        yield value
-    elif hasattr(type(value), "__get__"):
-        for name in ("__func__", "fget", "fset", "func", "method"):
-            yield from _functions(getattr(value, name, None))
-
-
 def _library(module: str | None) -> bool:
-    return (module or "").partition(".")[0] in _LIBRARIES
+    return _top(module or "") in _LIBRARIES
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
 
 
 @functools.lru_cache(maxsize=1024)
 def _is_own(module: str) -> bool:
     """Whether a module is a person's own, and was not installed."""
-    if _library(module) or module.partition(".")[0] in sys.stdlib_module_names:
+    if _library(module) or _top(module) in sys.stdlib_module_names:
         return False
     path = str(getattr(sys.modules.get(module), "__file__", None) or "")
     return not {"site-packages", "dist-packages"}.intersection(Path(path).parts)
+
+
+def _modules(kind: type) -> list[str]:
+    """Of a class and of those that it is made from."""
+    return [each.__module__ for each in kind.__mro__]
 
 
 def _is_a_persons(thing: Any) -> TypeGuard[types.ModuleType]:

@@ -1,9 +1,10 @@
-"""What a function's code can change, as its instructions say: which names, and whether what names refer to."""
+"""What a function's code uses and can change, as its instructions say: which names, and what these refer to."""
 
 import dis
 import functools
 import types
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 _NAMES = frozenset(
     f"{how}_{what}" for how in ("STORE", "DELETE") for what in ("GLOBAL", "DEREF", "ATTR", "NAME")
@@ -59,3 +60,20 @@ def writes(code: types.CodeType) -> Writes:
         if isinstance(constant, types.CodeType):
             found = found.also(writes(constant))
     return found
+
+
+def names_in(code: types.CodeType) -> Iterator[str]:
+    """The global names that a function uses, and those of the functions in it."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from names_in(constant)
+
+
+def functions(value: Any) -> Iterator[types.FunctionType]:
+    """Those that an attribute of a class is: a method, or what makes one of it."""
+    if isinstance(value, types.FunctionType):
+        yield value
+    elif hasattr(type(value), "__get__"):
+        for name in ("__func__", "fget", "fset", "func", "method"):
+            yield from functions(getattr(value, name, None))

@@ -1,5 +1,6 @@
 """What a policy remembers and what others change meanwhile, when `evaluate` has it traced."""
 
+import collections
 import itertools
 import queue
 
@@ -170,6 +171,32 @@ def test_memory_of_a_method():
     np.testing.assert_allclose(
         got.returns, evaluate(Drift(), lambda obs: np.asarray(Reads()(obs)), 2).returns
     )
+
+
+class Counter(collections.UserDict):
+    """Of an installed class, which calls its methods and writes into it."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked = 0
+
+    def __setitem__(self, name, value):
+        self.asked += 1
+        super().__setitem__(name, value)
+
+
+def test_what_installed_code_writes_is_put_back():
+    """Its code is not looked at: whatever has changed during the call counts as changed by it."""
+    counter, plain = Counter(), Counter()
+
+    def policy(obs, counter=counter):
+        counter.update(last=obs)
+        return jnp.tanh(obs) * (counter.asked % 3)
+
+    got = evaluate(Drift(), policy, 2)
+    expected = evaluate(Drift(), lambda obs: np.asarray(policy(obs, plain)), 2)
+    np.testing.assert_allclose(got.returns, expected.returns)
+    assert counter.asked == plain.asked and not isinstance(counter["last"], jax.core.Tracer)
 
 
 def counted():
