@@ -24,7 +24,7 @@ _SIZES = (
     *(16, 32, 48, 64, 96, 128, 192, 256, 384),
     *(quarter << octave for octave in range(7, 20) for quarter in (4, 5, 6, 7)),
 )
-"""Leading rows that are factorised alone; in finer steps from 512 on, where a factor takes longer than to compile it."""
+"""Leading rows that are factorised alone; finer from 512 on, where a factor takes longer than to compile it."""
 
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
