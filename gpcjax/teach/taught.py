@@ -290,7 +290,7 @@ class Taught:
         """
         session, place = self.session, self.folder / SAVES / name
         if self.course.algo in built_in("learner"):
-            replaced(place, session.save)
+            replaced(place, lambda path: session.save(path, env=self.course.env))
             return
         cell = self.course.cell(1)
         check_recipe(recipe_of(cell), f"save {name}")
