@@ -34,6 +34,10 @@ FORMAT = 1
 RECORD = "session.jsonl"
 """The name of the file in the folder of what a person taught in the browser."""
 
+CUT = "cut"
+"""The status of an episode, in the rows of what a person taught, that somebody or something ended before the task did:
+what it returned is no return of an episode."""
+
 
 class Recording:
     """A file that events are appended to, each given to the operating system before `append` returns.

@@ -96,7 +96,7 @@ class Tally:
         return [advice.obs for advice in self._advice]
 
     def measurements(self) -> dict[str, np.ndarray]:
-        """Of the finished episodes, as `gpcjax.engine.lanes.EpisodeRows` has them."""
+        """Of the finished episodes, as `gpcjax.engine.lanes.EpisodeRows` has them; `whole`: the task ended it."""
         done = self.finished
         none = np.zeros(len(done), int)
         return {
@@ -110,6 +110,7 @@ class Tally:
             "full": np.array([each.full for each in done], int),
             "asked": none,  # nobody knows when a person could have advised
             "chance_sum": none.astype(float),
+            "whole": np.array([each.why == "over" for each in done], bool),
         }
 
     def own(self) -> dict[str, np.ndarray]:

@@ -72,6 +72,11 @@ def test_the_course_of_a_task_without_values_is_taught_to_gpc_ns(lesson):
     assert Course.read(lesson.folder) == lesson.course
 
 
+def test_an_episode_that_was_ended_by_hand_has_a_status_of_its_own(lesson):
+    assert [episode.why for episode in lesson.tally.finished] == ["over", "reset"]
+    assert gpcjax.load(lesson.folder)["status"].tolist() == ["ok", "cut"]
+
+
 def test_rows_are_a_sweeps(lesson):
     rows = gpcjax.load(lesson.folder)
     done = lesson.tally.finished
