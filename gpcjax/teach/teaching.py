@@ -34,7 +34,7 @@ class Teaching:
     def __init__(self, taught: Taught, standing: Standing, tell: Teller):
         self._taught, self._standing, self._tell = taught, standing, tell
         self._seconds = seconds_of(tell.task)
-        self._first_of_episode, self._due = 0, 0.0
+        self._first_of_episode, self._due = tell.number + 1, 0.0
         self._evaluation: Evaluation | None = None
 
     @property
@@ -132,10 +132,10 @@ class Teaching:
         standing = self._standing
         if standing.mode != "teach" or press.dim >= self._taught.session.learner.action_size:
             return
+        if press.shown and press.shown < self._first_of_episode:
+            return  # it was about an episode that is over, or another lesson
         if standing.paused and standing.why in ("start", "connection"):
             self._go_on()
-        if press.shown and press.shown < self._first_of_episode:
-            return  # it was about an episode that is over
         with self._resting_on_problems():
             if self._catch_up():
                 return  # so is the episode that it was about
