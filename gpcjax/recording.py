@@ -112,7 +112,9 @@ class Recording:
             raise UserError(f"{path}: it cannot be read ({reason}), give the record of a session") from None
         lines = text.split("\n")[:-1]
         parsed = [_parsed(path, number, line) for number, line in enumerate(lines, 1)]
-        if not parsed or parsed[0].get("format") != FORMAT or not {"settings", "place"} <= parsed[0].keys():
+        first = parsed[0] if parsed else {}
+        tables = all(isinstance(first.get(name), dict) for name in ("settings", "place"))
+        if first.get("format") != FORMAT or not tables:
             raise UserError(f"{path}: this is no record of a session, or one of another format")
         for number, event in enumerate(parsed[1:], 2):
             if not _is_event(event):

@@ -14,7 +14,6 @@ import jax
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
-from gpcjax.engine.course import ROOMS
 from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import ForeignError, UserError
@@ -31,6 +30,7 @@ from gpcjax.teach.evaluation import world_of
 from gpcjax.teach.kept import Kept, plain, replaced
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
+from gpcjax.teach.sound import check_end, rooms_in
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import Moved, World
 from gpcjax.teach.worlds import Place, Worlds
@@ -122,7 +122,7 @@ class Taught:
         course = Course.read(folder)
         record, tally = folder / RECORD, Tally()
         first, events = Recording.read(record)
-        rooms = first["settings"].get(ROOMS)
+        rooms = rooms_in(record, first["settings"])
         classroom = None
         if rooms is None:
             world = world_of(course, pictures=not whole)
@@ -136,6 +136,7 @@ class Taught:
 
         def told(session: Session, event: Mapping[str, Any], outcome: Any) -> None:
             progress.tell()
+            check_end(record, session, event, len(tally.finished))
             if event["event"] == "propose" and (whole or event["episode"] == last):
                 taught._follow(session, event["obs"])
             if whole and event["event"] == "note":

@@ -268,6 +268,70 @@ class TestReplay:
         assert "episode" in str(raised.value)
 
 
+class TestDamaged:
+    """Lines that were lost or changed are told, by replay and by who goes on; nothing is counted without them."""
+
+    @staticmethod
+    def spoilt(lesson, folder, change):
+        shutil.copy(lesson.folder / COURSE, folder)
+        events = [json.loads(line) for line in (lesson.folder / RECORD).read_text().splitlines()]
+        text = "".join(json.dumps(event) + "\n" for event in change(events))
+        (folder / RECORD).write_text(text)
+        return text
+
+    @pytest.mark.parametrize("whole", [False, True])
+    @pytest.mark.parametrize(
+        ("values", "told"),
+        [
+            ({"ended": "over", "total": 1.5}, "what is noted of its end is damaged"),
+            ({"ended": "over", "total": 7, "length": 12}, "what is noted of its end is damaged"),
+            ({"ended": "over", "total": 1.5, "length": True}, "what is noted of its end is damaged"),
+            ({"ended": 3, "total": 1.5, "length": 12}, "what is noted of its end is damaged"),
+            ({}, "it is noted of 0 episodes how they ended, lines are missing or doubled"),
+        ],
+    )
+    def test_the_end_of_an_episode(self, lesson, tmp_path, values, told, whole):
+        def change(events):
+            for event in events:
+                if "ended" in event.get("values", {}):
+                    event["values"] = values
+            return events
+
+        text = self.spoilt(lesson, tmp_path, change)
+        with pytest.raises(UserError, match=rf"session\.jsonl: episode 0: {told}") as raised:
+            Taught.resume(tmp_path, nothing, whole=whole)
+        assert "\n" not in str(raised.value)
+        assert (tmp_path / RECORD).read_text() == text
+
+    def test_an_end_that_is_there_twice(self, lesson, tmp_path):
+        self.spoilt(
+            lesson,
+            tmp_path,
+            lambda events: [again for event in events for again in [event] * (1 + ("ended" in str(event)))],
+        )
+        with pytest.raises(
+            UserError, match="it is noted of 1 episodes how they ended, lines are missing or doubled"
+        ):
+            Taught.resume(tmp_path, nothing)
+
+    @pytest.mark.parametrize(
+        ("settings", "told"),
+        [
+            (lambda settings: [], "this is no record of a session"),
+            (lambda settings: settings | {"rooms": 5}, "rooms 5 are none of a session"),
+            (lambda settings: settings | {"rooms": [[8, "a"]]}, "rooms .* are none of a session"),
+        ],
+    )
+    def test_its_settings(self, lesson, tmp_path, settings, told):
+        self.spoilt(
+            lesson,
+            tmp_path,
+            lambda events: [{**events[0], "settings": settings(events[0]["settings"])}, *events[1:]],
+        )
+        with pytest.raises(UserError, match=told):
+            Taught.resume(tmp_path, nothing, whole=True)
+
+
 class TestFullDisk:
     @pytest.fixture
     def full(self, tmp_path, monkeypatch):
