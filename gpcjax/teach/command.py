@@ -28,7 +28,7 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     Raises:
         UserError: a mistake of the person's.
     """
-    from gpcjax.teach.course import Course
+    from gpcjax.teach.course import COURSE, Course
     from gpcjax.teach.origin import Run
     from gpcjax.teach.run import teach
     from gpcjax.teach.standing import Options
@@ -53,8 +53,11 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     goes_on = not given and folder is not None and "seed" not in own
     course = None if goes_on else Course.of(given, own.get("seed", 0))
     options = Options(own.get("repeat", 8.0), own.get("speed", 1.0), oracle.value[0] if oracle else None)
-    if oracle is not None and course is not None:
-        check_expert(course.env, options.oracle, "--oracle")
+    taught = course
+    if taught is None and folder is not None and (folder / COURSE).exists():
+        taught = Course.read(folder)
+    if oracle is not None and taught is not None:
+        check_expert(taught.env, options.oracle, "--oracle")
     return teach(folder, course, origin, options, arguments.host or "127.0.0.1", own.get("port"))
 
 
