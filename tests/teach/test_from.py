@@ -230,7 +230,7 @@ def test_a_lessons_own_save_needs_no_further_word(course_of, tmp_path):
     (tmp_path / "one").mkdir()
     course = Course("mountaincar", "gpc", (("human_noise", 1e-3), ("credit", 0.2)), 4)
     taught = Taught.begin(tmp_path / "one", course)
-    taught.advise(Press(1, 0, 1, 0, 0.0, 0.0, False), 0)
+    taught.advise(Press(1, 0, 1, 0, 0.0, 0.0, False))
     taught.save("a")
     save = tmp_path / "one" / SAVES / "a"
     assert course_of("--from", str(save))[0] == Course("mountaincar", "gpc", course.settings)
