@@ -21,6 +21,7 @@ class Credited(NamedTuple):
 def credited(course: Course) -> Credited:
     """Of what is taught in a course."""
     settings, time_step = dict(course.settings), find("task", course.env).seconds
-    credit = Credit.of(*(settings.get(name) for name in CREDIT), time_step)
+    seconds, longest, shape = (settings.get(name) for name in CREDIT)
+    credit = Credit.of(seconds, longest, shape, time_step)
     back = math.floor(settings.get("credit", 0.0) / time_step + 0.5)
     return Credited(back, 0 if credit is None else credit.first)

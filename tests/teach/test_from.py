@@ -60,7 +60,7 @@ def test_it_goes_on_with_the_newest_state_of_the_run(folder, tmp_path):
     assert float(taught.session.act(OBS)[0]) < 0 and float(acted("gpc", 1)) > 0
     # Another process goes on from the folder alone.
     assert (tmp_path / START / "card.json").is_file()
-    taught.session.end_episode()
+    taught.close("reset")
     again = Taught.resume(tmp_path, print)
     np.testing.assert_array_equal(again.session.act(OBS), taught.session.act(OBS))
 
