@@ -321,18 +321,20 @@ BARE = f'exec {sys.executable} -S "$@"'
 @pytest.mark.parametrize(
     "words",
     [
-        ("sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
-        ("sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
-        ("sweep", "ENV=gym:Pendulum-v1"),
-        ("sweep", "ENV=brax:reacher"),
-        ("sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),
-        ("sweep", "ENV=cartpole", "TEACHER=replay:a.jsonl"),
-        ("sweep", "ENV=cartpole", "ENGINE=ray"),
-        ("sweep", "SPEC=own.toml"),
-        ("grid", "ENV=mytask:Drift", "LP=0.1,0.2"),
-        ("tune", "ENV=cartpole", "ARGS=--search policy-length-scale=0.1:1"),
+        pytest.param(words, id=" ".join(words), marks=marks)
+        for marks, *words in (
+            ((), "sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
+            (pytest.mark.slow, "sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
+            ((), "sweep", "ENV=gym:Pendulum-v1"),
+            (pytest.mark.slow, "sweep", "ENV=brax:reacher"),
+            (pytest.mark.slow, "sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),
+            ((), "sweep", "ENV=cartpole", "TEACHER=replay:a.jsonl"),
+            ((), "sweep", "ENV=cartpole", "ENGINE=ray"),
+            (pytest.mark.slow, "sweep", "SPEC=own.toml"),
+            (pytest.mark.slow, "grid", "ENV=mytask:Drift", "LP=0.1,0.2"),
+            ((), "tune", "ENV=cartpole", "ARGS=--search policy-length-scale=0.1:1"),
+        )
     ],
-    ids=" ".join,
 )
 def test_what_needs_a_module_is_no_mistake_before_the_setting_up(folder, words):
     """With a Python that has nothing: the check says that it looks later, and the setting up begins."""

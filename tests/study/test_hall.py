@@ -313,6 +313,7 @@ def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path):
         replayed(each.run.folder)
 
 
+@pytest.mark.slow
 def test_the_process_that_writes_may_die(hall, tmp_path):
     page = Page(hall, tmp_path / "run", episodes=1).goes()
     hall._clerk._process.kill()

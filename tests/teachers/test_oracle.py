@@ -65,7 +65,7 @@ def test_the_sign_is_that_of_the_gap():
     assert (advise(wrong, coins(), 0.5) == -1).all() and (advise(wrong, coins(), -0.5) == 1).all()
 
 
-@pytest.mark.parametrize("delta", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("delta", [0.0, 0.05, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_within_delta_it_is_silent(delta):
     """Also where an error would have been made."""
     oracle = make(rate=1.0, error=0.5, delta=delta)
