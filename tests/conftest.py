@@ -37,6 +37,9 @@ install_import_hook(COMPUTING, "tests.typechecker.check")
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+# No power fails under tests: nobody waits until the disk has what is written.
+os.fsync = lambda descriptor: None
+
 # A shell's background job ignores Ctrl-C, and nohup a lost connection; so would all that the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP"):
