@@ -151,16 +151,15 @@ PROGRAMS = [
 ]
 """Texts that make or a shell would run or fill in; a file named bad shows that one did."""
 
+TELLING = "$(shell touch bad)", "`touch bad`", "a; touch bad", "' touch bad '"
+"""One for make, one for the shell, one for each way out of a word."""
+
 
 @pytest.mark.parametrize("value", ["it's", "a b", "a ", '"', "*", "", "\\", "%s", *PROGRAMS])
 def test_a_value_is_one_word_whatever_it_holds(folder, value):
     done = make(folder, "sweep", f"OUT={value}")
     assert (done.returncode, called(folder)) == (0, [["-m", "gpcjax", "sweep", f"--out={value}"]])
     assert not (folder / "bad").exists()
-
-
-TELLING = "$(shell touch bad)", "`touch bad`", "a; touch bad", "' touch bad '"
-"""One for make, one for the shell, one for each way out of a word."""
 
 
 @pytest.mark.parametrize(
@@ -197,7 +196,11 @@ def test_no_variable_of_any_target_is_a_program(folder, value):
         ("  ", []),
         ("%s -n", ["%s", "-n"]),
         ("a\ntouch bad", ["a", "touch", "bad"]),
-        *((value, value.split()) for value in PROGRAMS if not set(value) & set("'\"")),
+        *(
+            pytest.param(value, value.split(), marks=[] if value in TELLING else [pytest.mark.slow])
+            for value in PROGRAMS
+            if not set(value) & set("'\"")
+        ),
     ],
 )
 def test_args_are_words_by_their_quotes_and_nothing_more(folder, value, words):

@@ -227,7 +227,7 @@ class TestRecord:
 
 
 class TestSaved:
-    @pytest.mark.parametrize("ends", [False, True])
+    @pytest.mark.parametrize("ends", [False, pytest.param(True, marks=pytest.mark.slow)])
     def test_it_goes_on_to_the_bit(self, coach, tmp_path, ends):
         """Whoever loads it, and from its record too."""
         session = lesson(Session(coach, **LATE), 4)

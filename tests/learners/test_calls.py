@@ -90,6 +90,7 @@ def test_other_settings_are_other_programs():
         assert [int(info.status) for info in infos] == [0, last]
 
 
+@pytest.mark.slow
 def test_inside_jit_it_is_what_it_is_outside():
     learner = make_learner("gpc", obs_size=2, action_size=2, capacity=8)
     state, _ = teach(learner, learner.init(), 2)
