@@ -235,6 +235,7 @@ def test_a_process_that_died(hall, tmp_path):
         replayed(folder)
 
 
+@pytest.mark.slow
 def test_several_at_once_are_the_same_alone(hall, tmp_path):
     pages = [Page(hall, tmp_path / f"{seed}", seed=seed) for seed in range(5)]
     draw = np.random.default_rng(0)
