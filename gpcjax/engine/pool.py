@@ -32,41 +32,44 @@ from gpcjax.learners.base import Status
 
 TIERS = (
     Tier(48, 64, 32),
-    Tier(96, 128, 16),
-    Tier(128, 256, 16),
-    Tier(256, 512, 16),
-    Tier(512, 1024, 16),
+    Tier(128, 512, 16),
+    Tier(256, 1024, 16),
     Tier(512, 2048, 16),
     Tier(1024, 4096, 8),
 )
-"""Human models only append and outgrow policies, which SPARS keeps small.
+"""Human models only append and outgrow policies, which SPARS keeps small; their room costs memory, and no time.
 
 Measured on a CPU (`benchmarks/README.md`): few tiers, as each costs seconds to compile; narrow ones, as time is
 proportional to the width from 32 lanes on, and those few that outgrow the others run alone in the end.
 """
 
-LANES_TOGETHER = dict(
-    zip((tier.human_capacity for tier in TIERS), (4096, 4096, 2048, 1024, 512, 256, 64), strict=True)
+TIERS_TOGETHER = (
+    Tier(48, 64, 4096),
+    Tier(96, 128, 4096),
+    Tier(128, 256, 2048),
+    Tier(256, 512, 1024),
+    Tier(512, 1024, 512),
+    Tier(512, 2048, 256),
+    Tier(1024, 4096, 64),
 )
-"""Lanes of these tiers where lanes are computed together (`gpcjax.gp.batching`), by points of the human model.
+"""The same where lanes are computed together (`gpcjax.gp.batching`), with whole factors, whose room is time as well.
 
-Measured on one GPU (`benchmarks/README.md`): there a round takes as long for a thousand lanes as for ten. Others are as
-wide as the last.
+Measured on one GPU (`benchmarks/README.md`): there a round takes as long for a thousand lanes as for ten.
 """
 
 
 def tiers(max_capacity: int, together: bool = False) -> tuple[Tier, ...]:
     """The tiers up to `max_capacity` points, the last one exactly there; `together` for where lanes are."""
-    largest, beyond = TIERS[-1].human_capacity, [Tier(TIERS[-1].human_capacity, TIERS[-1].human_capacity, 8)]
+    measured, wide = (TIERS_TOGETHER, 64) if together else (TIERS, 8)
+    largest = measured[-1].human_capacity
+    beyond = [Tier(largest, largest, wide)]
     while largest < max_capacity:
         largest *= 2
-        beyond.append(Tier(largest, largest, 8))
+        beyond.append(Tier(largest, largest, wide))
     chosen: list[Tier] = []
-    for tier in (*TIERS, *beyond):
+    for tier in (*measured, *beyond):
         policy, human = min(tier.policy_capacity, max_capacity), min(tier.human_capacity, max_capacity)
-        if together:
-            tier = dataclasses.replace(tier, lanes=LANES_TOGETHER.get(tier.human_capacity, 64))
-        if not chosen or (policy, human) != (chosen[-1].policy_capacity, chosen[-1].human_capacity):
+        if not chosen or (policy, human) != chosen[-1].capacities:
             chosen.append(dataclasses.replace(tier, policy_capacity=policy, human_capacity=human))
     return tuple(chosen)
 

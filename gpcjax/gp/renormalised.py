@@ -4,7 +4,6 @@ A point moves the scale, and with it every entry of the Gram matrix: all is comp
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -20,6 +19,12 @@ from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, small, take
 from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
+
+_SIZES = (
+    *(16, 32, 48, 64, 96, 128, 192, 256, 384),
+    *(quarter << octave for octave in range(7, 20) for quarter in (4, 5, 6, 7)),
+)
+"""Leading rows that are factorised alone; finer from 512 on, where a factor takes longer than to compile it."""
 
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
@@ -194,10 +199,8 @@ def _switch_leading(
 
 
 def _leading_sizes(capacity: int) -> tuple[int, ...]:
-    """A few sizes, so that a dictionary that has grown little is not factorised with all of its empty rows."""
-    parts = 4 if capacity <= 512 else 8
-    step = 8 * max(2, math.ceil(capacity / (8 * parts)))
-    return (*range(step, capacity, step), capacity)
+    """Sizes for dictionaries that have not filled their room: from a sixth of it on."""
+    return (*[size for size in _SIZES if capacity / 6 <= size < capacity], capacity)
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:

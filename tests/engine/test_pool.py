@@ -185,8 +185,10 @@ class TestTiers:
         with pytest.raises(ValueError, match=f"a block of {lanes} lanes: give a power of two, 8 or more"):
             block_module.Tier(8, 8, lanes)
 
-    def test_those_below_do_not_depend_on_the_bound(self):
-        """So that a larger bound changes the bits of no run that never needed it."""
-        small, large = pool_module.tiers(200), pool_module.tiers(1024)
-        shared = [tier for tier in small if tier in large]
-        assert list(large[: len(shared)]) == shared and len(shared) >= 2
+    def test_those_below_are_the_same_tiers_cut_at_the_bound(self):
+        """So that a larger bound changes nothing for runs that stay in the tiers below it."""
+        large = pool_module.tiers(4096)
+        for bound in (64, 200, 512, 1024):
+            for small, tier in zip(pool_module.tiers(bound)[:-1], large, strict=False):
+                assert small.capacities == tuple(min(room, bound) for room in tier.capacities)
+                assert small.lanes == tier.lanes
