@@ -45,7 +45,7 @@ def lateness(
     if longest is not None and longest < seconds:
         raise UserError(f"{names[1]} {longest:g}: give at least {names[0]}, {seconds:g}")
     if shape is not None:
-        return _gamma(names[0], seconds, shape, time_step)
+        return _gamma(names, seconds, shape, time_step)
     first, last = _steps(seconds, time_step), _steps(seconds if longest is None else longest, time_step)
     _check(names[0] if longest is None else names[1], last, time_step)
     return (0.0,) * first + (1.0 / (last - first + 1),) * (last - first + 1)
@@ -65,13 +65,18 @@ def check(
         lateness(told, seconds, longest, shape, time_step)
 
 
-def _gamma(source: str, mean: float, shape: float, time_step: float) -> tuple[float, ...]:
+def _gamma(names: Names, mean: float, shape: float, time_step: float) -> tuple[float, ...]:
     import numpy as np
     from scipy.special import gammainc, gammaincinv
 
     scale = mean / shape
-    last = _steps(float(gammaincinv(shape, _COVERED)) * scale, time_step)
-    _check(source, last, time_step)
+    longest = float(gammaincinv(shape, _COVERED)) * scale
+    if not 0.0 < scale < math.inf or math.isnan(longest):
+        raise UserError(
+            f"{names[2]} {shape:g}: with {names[0]} {mean:g} there are no such delays, give a number nearer to 1"
+        )
+    last = _steps(longest, time_step)
+    _check(names[0], last, time_step)
     edges = np.maximum(np.arange(last + 2) - 0.5, 0.0) * time_step
     chances = np.diff(gammainc(shape, edges / scale))
     return tuple((chances / chances.sum()).tolist())

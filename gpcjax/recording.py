@@ -34,6 +34,10 @@ FORMAT = 1
 RECORD = "session.jsonl"
 """The name of the file in the folder of what a person taught in the browser."""
 
+CUT = "cut"
+"""The status of an episode, in the rows of what a person taught, that somebody or something ended before the task did:
+what it returned is no return of an episode."""
+
 
 class Recording:
     """A file that events are appended to, each given to the operating system before `append` returns.
@@ -108,7 +112,9 @@ class Recording:
             raise UserError(f"{path}: it cannot be read ({reason}), give the record of a session") from None
         lines = text.split("\n")[:-1]
         parsed = [_parsed(path, number, line) for number, line in enumerate(lines, 1)]
-        if not parsed or parsed[0].get("format") != FORMAT or not {"settings", "place"} <= parsed[0].keys():
+        first = parsed[0] if parsed else {}
+        tables = all(isinstance(first.get(name), dict) for name in ("settings", "place"))
+        if first.get("format") != FORMAT or not tables:
             raise UserError(f"{path}: this is no record of a session, or one of another format")
         for number, event in enumerate(parsed[1:], 2):
             if not _is_event(event):

@@ -1,5 +1,7 @@
 """How late advice is, in steps: against scipy's distributions, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -65,6 +67,13 @@ def test_shapes_beyond_reason_are_distributions_or_refused(shape):
         assert str(error).startswith("delay_shape") and "\n" not in str(error)
     else:
         assert sum(chances) == pytest.approx(1.0) and chances[-1] > 0.0
+
+
+@pytest.mark.parametrize(("seconds", "shape"), [(1e300, 1e-300), (1e-300, 1e300), (1e300, 1e-9)])
+def test_delays_that_are_no_numbers_are_refused(seconds, shape):
+    told = re.escape(f"credit_shape {shape:g}: with credit {seconds:g} there are no such delays")
+    with pytest.raises(UserError, match=told):
+        lateness(CREDIT, seconds, None, shape, 0.02)
 
 
 def test_a_gamma_distribution_becomes_a_fixed_delay():

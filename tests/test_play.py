@@ -1,6 +1,7 @@
 """Watching a policy: which one it is, what is drawn of it, and the GIF that is written."""
 
 import shutil
+import weakref
 
 import numpy as np
 import pytest
@@ -19,10 +20,11 @@ from gpcjax.play.chosen import Player, player_of
 from gpcjax.play.command import SPEED
 from gpcjax.play.episodes import Moment, moments
 from gpcjax.play.scenes import LESS, MORE, SCENES
-from gpcjax.play.showing import Frame, watch, write_gif
+from gpcjax.play.showing import Frame, has_window, watch, write_gif
 from gpcjax.play.stage import DPI, SIZE, Stage
 from gpcjax.registry import find
 from gpcjax.sweep.run import sweep
+from gpcjax.teach.course import Course
 from gpcjax.teach.world import World
 from tests.sweep.learned import Learned
 
@@ -98,6 +100,22 @@ def test_what_was_saved_is_played(tmp_path):
     assert player_of(str(tmp_path), None, None, {}).who == "policy"
 
 
+def test_a_lesson_without_a_policy_says_what_of_it_can_be_played(folder, tmp_path, capsys):
+    """It has rows as a sweep's, and no kept policies: those of a learner of one's own have no form."""
+    lesson = tmp_path / "lesson"
+    shutil.copytree(folder, lesson)
+    Course("cartpole", "coach").write(lesson)
+    for words in (["play", "lesson"], ["policy", "info", "lesson"]):
+        assert cli.main(words) == 2
+        assert "lesson: there is no policy of this lesson yet, or" in capsys.readouterr().err
+        assert "--keep" not in capsys.readouterr().err
+    learner, state = learner_and_state(1)
+    gpcjax.save_learner(lesson / "saves" / "good one", learner, state, env="cartpole")
+    assert cli.main(["play", "lesson"]) == 2
+    assert "give one that was saved: lesson/saves/good one\n" in capsys.readouterr().err
+    assert way(player_of("lesson/saves/good one", None, None, {})) == 1
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -115,6 +133,14 @@ def test_what_was_saved_is_played(tmp_path):
         (["cartpole:lqr", "--where", "algo"], "--where 'algo': give COLUMN=VALUE"),
         (["cartpole:lqr", "--gif", "x.png"], "--gif x.png: give a path that ends in .gif"),
         (["cartpole:lqr", "--speed", "0"], f"--speed 0: give {SPEED}"),
+        (
+            ["cartpole:lqr", "--gif", "x.gif", "--episodes", "13"],
+            "--episodes 13: 6,526 frames are more than the 6,000 of a GIF, give fewer episodes, fewer --seconds, or",
+        ),
+        (
+            ["pendulum:gpc", "--gif", "x.gif", "--episodes", "100", "--seconds", "600"],
+            "--episodes 100: 20,200 frames",
+        ),
         (["empty"], "empty: no policy is there, give a run folder with kept policies"),
         (["OUT", "--seed", "7"], "no run with seed 7 was kept, give 0, 1, 2"),
         (
@@ -211,6 +237,43 @@ def test_a_gif_has_the_frames_at_their_pace(tmp_path):
             image.seek(place)
             delays.append(image.info["duration"])
         assert delays == [40, 40, 40, 800] and image.info["loop"] == 0 and image.size == (50, 40)
+
+
+def test_what_is_seen_twice_in_a_row_is_one_frame(tmp_path):
+    """As in the file; and no picture is drawn before the one before it was taken."""
+    figure = Figure(figsize=(0.5, 0.4), dpi=100)
+    label = figure.text(0.1, 0.1, "")
+    frames = (Frame(lambda text=text: label.set_text(text), 0.04) for text in "aabbbc")
+    made = write_gif(tmp_path / "x.gif", figure, frames)
+    with Image.open(tmp_path / "x.gif") as image:
+        assert made.frames == image.n_frames == 3 and made.seconds == pytest.approx(0.24)
+    still = write_gif(tmp_path / "y.gif", figure, iter([Frame(lambda: None, 0.04)] * 3))
+    assert still.frames == 1 and still.seconds == pytest.approx(0.12)
+
+
+def test_pictures_are_not_kept_until_the_last_one(tmp_path, monkeypatch):
+    figure, alive = Figure(figsize=(0.5, 0.4), dpi=100), []
+    made = Image.fromarray
+
+    def seen(pixels):
+        picture = made(pixels)
+        alive.append(weakref.ref(picture))
+        return picture
+
+    monkeypatch.setattr(Image, "fromarray", seen)
+    most = []
+    frames = (Frame(lambda: most.append(sum(each() is not None for each in alive)), 0.04) for _ in range(20))
+    write_gif(tmp_path / "x.gif", figure, frames)
+    assert max(most) <= 2
+
+
+@pytest.mark.parametrize(
+    ("backend", "shows"),
+    [("webagg", False), ("nbagg", False), ("agg", False), ("qtagg", True), ("TkAgg", True)],
+)
+def test_only_a_framework_for_windows_opens_one(monkeypatch, backend, shows):
+    monkeypatch.setattr("matplotlib.get_backend", lambda: backend)
+    assert has_window() is shows
 
 
 def test_a_window_shows_all_frames_until_it_is_closed():

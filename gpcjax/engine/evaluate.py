@@ -1,29 +1,25 @@
 """How well a fixed policy does: its return from many starts."""
 
-import re
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import COUNT, Numbers, checked, shown
 from gpcjax.engine import streams
-from gpcjax.engine.programs import lifted, program
-from gpcjax.engine.remembered import Remembered
+from gpcjax.engine.programs import program
+from gpcjax.engine.traced import Function, traced
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
-from gpcjax.policies.base import Controller, Planner, Policy, vector
-
-Function = Callable[[Any], Any]
+from gpcjax.policies.base import vector
 
 FIRST_SEED = Numbers(0, 1_000_000_000, whole=True)
 """Of the starts: with as many as there may be, seeds still fit into an int32."""
@@ -55,9 +51,10 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
             trace (it converts its observation to numpy, or looks at its value), whose result does not come from jax,
             that is another one when it is traced again, or that changes what it refers to (it draws numbers, counts,
             or remembers), is called on the host with a numpy array, at each step once for each start, in their order.
-            What changes where Python cannot look, such as a clock or an iterator, and chooses between results of
-            jax's may pass unseen: `np.asarray` around the result says that it is to be called on the host. One that
-            remembers an episode is asked for one start at a time.
+            So is one that refers to an iterator or to a file that it can read. What changes where Python cannot look,
+            such as a clock, and chooses between results of jax's may pass unseen: `np.asarray` around the result says
+            that it is to be called on the host. One that remembers an episode is asked for one start at a time. What
+            other threads change meanwhile stays as they leave it.
         starts: a whole number from 1 to 1,000,000.
         seed: of the first start, a whole number from 0 to 1,000,000,000.
 
@@ -76,13 +73,13 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
         )
     starts = checked("starts", starts, int, COUNT)
     first = checked("seed", seed, int, FIRST_SEED)
-    traced = _traced(env, policy)
+    found = traced(env, policy)
     if isinstance(env, HostEnv):
-        actions = _one_by_one(env, policy) if traced is None else _together(env, *traced, starts)
+        actions = _one_by_one(env, policy) if found is None else _together(env, *found, starts)
         return _on_host(env, actions, starts, first)
-    if traced is None:
+    if found is None:
         return _stepwise(env, _one_by_one(env, policy), starts, first)
-    values, act = traced
+    values, act = found
     arrays, static = eqx.partition(env, eqx.is_array)
     run = lambda arrays, values, seeds: _compiled(  # noqa: E731
         eqx.combine(arrays, static), lambda obs: act(values, obs), seeds
@@ -204,86 +201,3 @@ def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:
         return result
 
     return actions
-
-
-def _traced(env: Env | HostEnv, policy: Function) -> tuple[Any, Callable[..., Any]] | None:
-    """The values in a policy, and the policy as a function of these values and an observation.
-
-    None if jax cannot trace it, if its result is not jax's, which may be another one at each call, or if it is another
-    function when it is traced again, or goes on changing what it refers to: then that is what it was before.
-
-    Raises:
-        UserError: its result is no action of this task.
-    """
-    if isinstance(policy, _OURS):
-        found = _lifted(env, policy)
-    else:
-        before = Remembered(policy)
-        found = _lifted(env, policy)
-        # Something may be made at the first call, and kept.
-        after = Remembered(policy)
-        again = [_lifted(env, policy) for _ in range(_TIMES) if found is not None]
-        kept = not after.is_changed and after.tracers.keys() <= before.tracers.keys()
-        if found is None or not kept or not all(each is not None and _alike(found, each) for each in again):
-            before.put_back()
-            return None
-    if found is None:
-        return None
-    vector("the policy's action", np.zeros(found.shape.shape, found.shape.dtype), env.action_size, env.name)
-    return [found.leaves, found.values], lambda given, obs: found.act(given[1], given[0], obs)
-
-
-_OURS = Policy | Controller | Planner
-"""Policies that draw no numbers, and have no memory."""
-_TIMES = 2
-"""How often a person's function is traced again."""
-
-
-class _Lifted(NamedTuple):
-    """A policy that jax has traced."""
-
-    leaves: list[Any]
-    """The arrays that it consists of, if it is a pytree."""
-    values: list[Any]
-    """Those that it closes over, and its numbers."""
-    act: Callable[..., Any]
-    text: str
-    shape: jax.ShapeDtypeStruct
-    """Of its action."""
-
-
-def _lifted(env: Env | HostEnv, policy: Function) -> _Lifted | None:
-    """None if jax cannot trace it, or its result is not jax's."""
-    arrays, static = eqx.partition(policy, eqx.is_array)
-    shape: jax.ShapeDtypeStruct | None = None
-
-    def probe(arrays: Any, obs: Float[Array, " obs"]) -> Any:
-        nonlocal shape
-        action = eqx.combine(arrays, static)(obs)
-        shape = jax.ShapeDtypeStruct(action.shape, action.dtype) if isinstance(action, jax.Array) else None
-        return action if shape else obs
-
-    try:
-        values, act, text = lifted(probe, arrays, jax.ShapeDtypeStruct((env.obs_size,), float))
-        lanes = jax.ShapeDtypeStruct((env.obs_size, 2), float)
-        leaves = jax.tree.leaves(arrays)
-        jax.eval_shape(jax.vmap(lambda obs: act(values, *leaves, obs), in_axes=-1), lanes)
-    except Exception:  # whatever a function of numpy meets: on the host it shows whether it is a mistake
-        return None
-    return None if shape is None else _Lifted(leaves, values, act, text, shape)
-
-
-def _alike(one: _Lifted, other: _Lifted) -> bool:
-    """Whether both compute the same, as far as that is known while jax traces what is around them."""
-    return re.sub(_ADDRESS, "", one.text) == re.sub(_ADDRESS, "", other.text) and all(
-        isinstance(pair[0], Tracer) or _bits(pair[0]) == _bits(pair[1])
-        for pair in zip(one.values, other.values, strict=True)
-    )
-
-
-_ADDRESS = "0x[0-9a-f]+"
-
-
-def _bits(value: Any) -> bytes:
-    is_key = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
-    return np.asarray(jax.random.key_data(value) if is_key else value).tobytes()

@@ -1,50 +1,68 @@
-"""What a person's function refers to and can change: looked at before a call, compared after it, and put back.
+"""What a person's function refers to and can change: looked at before a call and after it, and put back.
 
 A function that jax traces runs once, for all steps of a program. What it changes then, a counter, a filter's last
-value, numbers still to be drawn, would be changed once, and hold what jax traces with.
+value, numbers still to be drawn, would be changed once, and hold what jax traces with. What somebody else changes
+meanwhile, such as a loop that teaches in another thread, is not touched.
 """
 
 import collections
 import functools
+import io
 import random
+import sys
 import types
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import jax
 import numpy as np
 from jax.core import Tracer
+
+from gpcjax.engine.held import (
+    MISSING,
+    RANDOM,
+    Content,
+    Names,
+    cell_content,
+    of_a_dict,
+    of_cells,
+    of_content,
+    same,
+)
+from gpcjax.engine.writes import Writes, functions, names_in, writes
 
 MOST, LARGEST = 10_000, 2**26
 """Things that are looked at, and bytes of numpy's arrays that are copied: what lies beyond may change unseen."""
 
 _LIBRARIES = frozenset(("builtins", "jax", "jaxlib", "numpy", "equinox", "gpcjax", "jaxtyping"))
 _PLAIN = (str, bytes, int, float, complex, type(None), jax.Array)
-_RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
-_MISSING = object()
-
-
-class _Held(NamedTuple):
-    """What one thing holds."""
-
-    thing: Any
-    """Kept, so that nothing else has its identity."""
-    read: Callable[[], Any]
-    write: Callable[[Any], Any]
-    content: Any
+_BARE = frozenset(("builtins", "abc", "argparse", "enum", "types", "typing"))
+"""Modules whose classes call and write nothing of those that are made from them."""
+_BOUND = (types.BuiltinMethodType, types.MethodWrapperType)
+_MADE_WITH = frozenset(("__new__", "__init__", "__post_init__", "__init_subclass__", "__setstate__"))
+"""Methods that write into what is being made."""
 
 
 class Remembered:
-    """All that a function refers to, as it was when this was made.
+    """All that a function refers to, as it was when this was made, and as a call left it (`look_again`).
 
-    Looked at are variables of the functions around it, global names that it uses, attributes of objects, entries of
-    tables, lists and arrays, and generators of random numbers, with that of a module `random` or `numpy` that it
-    names; in these, what they refer to in turn. Iterators, files and clocks are not.
+    Looked at are variables of the functions around it, global names that it uses, those of a person's modules and
+    classes too, attributes of objects, entries of tables, lists and arrays, and generators of random numbers, with that
+    of a module `random` or `numpy` that it names; in these, what they refer to in turn. Clocks and queues are not.
     """
 
     def __init__(self, function: Any):
-        self._held: list[_Held] = []
+        self._names: list[Names] = []
+        self._contents: list[Content] = []
         self._bytes = 0
+        self._writes = Writes()
+        self._classes: set[int] = set()
+        self._used: set[str] = set()
+        self._methods: dict[str, list[types.FunctionType]] = collections.defaultdict(list)
+        """By their names, those that no code seen so far uses."""
+        self.uses_up = False
+        """An iterator or a file is among it: what was read from these once cannot be put back."""
         self.tracers: dict[int, Any] = {}
         """What jax traces with among it, by identity."""
         seen: set[int] = set()
@@ -58,166 +76,219 @@ class Remembered:
             seen.add(id(thing))
             waiting.extend(self._look_at(thing))
 
+    def look_again(self) -> None:
+        """What there is now is what a call has left."""
+        for held in (*self._names, *self._contents):
+            held.after = held.read()
+
     @property
     def is_changed(self) -> bool:
-        """Whether anything is another thing now than it was."""
-        return any(not _same(held.content, held.read()) for held in self._held)
+        """Whether the call has changed anything, as far as it can be told from what others did meanwhile."""
+        return any(any(held.changed(self._writes).values()) for held in self._names) or any(
+            not same(held.before, held.after) for held in self._contents
+        )
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether somebody else has changed something, during the call or until now."""
+        return any(not all(held.changed(self._writes).values()) for held in self._names) or any(
+            not same(held.after, held.read()) for held in (*self._names, *self._contents)
+        )
 
     def put_back(self) -> None:
-        """Makes everything what it was."""
-        for held in self._held:
-            if not _same(held.content, held.read()):
-                held.write(held.content)
+        """Makes what the call has changed what it was, if it still is what the call has left."""
+        for held in (*self._names, *self._contents):
+            held.put_back(self._writes)
 
     def _look_at(self, thing: Any) -> Iterable[Any]:
         """Keeps what a thing holds, and gives what that refers to."""
+        self.uses_up |= _is_used_up(thing)
         if isinstance(thing, types.FunctionType):
             return self._of_a_function(thing)
         if isinstance(thing, types.MethodType):
             return thing.__self__, thing.__func__
-        if isinstance(thing, types.BuiltinMethodType):  # such as random.random
+        if isinstance(thing, _BOUND):  # such as random.random
             return () if isinstance(thing.__self__, types.ModuleType) else (thing.__self__,)
         if isinstance(thing, types.ModuleType):
-            return _generators(thing)
+            return ()
         if isinstance(thing, functools.partial):
             return thing.func, *thing.args, *thing.keywords.values()
         if isinstance(thing, tuple | frozenset):
             return thing
         if isinstance(thing, np.ndarray):
             return self._of_an_array(thing)
-        how = _how(thing)
+        if isinstance(thing, type):
+            return [
+                part for each in thing.__mro__ if _is_own(each.__module__) for part in self._of_a_class(each)
+            ]
+        how = of_content(thing)
         if how is not None:
             content = how[0]()
-            self._held.append(_Held(thing, *how, content))
-            return () if isinstance(thing, _RANDOM) else _parts(content)
-        if isinstance(thing, type) or _library(type(thing).__module__):
-            return ()
+            self._contents.append(Content(thing, *how, content, content))
+            return () if isinstance(thing, RANDOM) else _parts(content)
+        if _library(type(thing).__module__):
+            return (thing.__wrapped__,) if hasattr(thing, "__wrapped__") else ()
         return self._of_an_object(thing)
 
     def _of_a_function(self, function: types.FunctionType) -> Iterable[Any]:
         if _library(function.__module__):
             return ()
-        self._keep_names(function, function.__globals__, tuple(_names(function.__code__)))
+        self._writes = self._writes.also(writes(function.__code__))
+        names, around = tuple(dict.fromkeys(names_in(function.__code__))), function.__globals__
+        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+        self._used.update(names)
+        self._keep(function, *of_a_dict(around, names))
+        self._keep(function, *of_cells(cells))
+        own = [*(around.get(name) for name in names), *(cell_content(cell) for cell in cells.values())]
+        # And modules that the function itself imports.
+        own += [sys.modules[name] for name in writes(function.__code__).imports if name in sys.modules]
         return (
-            *(function.__closure__ or ()),
-            *(function.__globals__.get(name) for name in _names(function.__code__)),
+            *own,
+            *(each for module in own for each in _generators(module, names)),
+            *self._of_methods(*names),
+            *(part for module in own if _is_a_persons(module) for part in self._of_a_module(module, names)),
             *(function.__defaults__ or ()),
             *(function.__kwdefaults__ or {}).values(),
-            vars(function),
+            *self._attributes(function),
         )
+
+    def _of_a_module(self, module: types.ModuleType, names: tuple[str, ...]) -> Iterable[Any]:
+        """What code with these names may use of a person's module."""
+        self._keep(module, *of_a_dict(vars(module), names))
+        used = [vars(module).get(name) for name in names]
+        # Of a package, too, one of whose modules it is.
+        below = (
+            each for each in used if _is_a_persons(each) and each.__name__.startswith(module.__name__ + ".")
+        )
+        return *used, *(part for each in below for part in self._of_a_module(each, names))
+
+    def _of_a_class(self, kind: type) -> Iterable[Any]:
+        """What all objects of a class have in common, and its methods."""
+        if id(kind) in self._classes:
+            return ()
+        self._classes.add(id(kind))
+        read = lambda: {name: value for name, value in dict(vars(kind)).items() if _is_data(name, value)}  # noqa: E731
+
+        def write(name: str, value: Any) -> None:
+            type.__delattr__(kind, name) if value is MISSING else type.__setattr__(kind, name, value)
+
+        self._keep(kind, read, write, freely=not _is_own(kind.__module__))
+        if not _is_own(kind.__module__):
+            return ()
+        methods = [(name, each) for name, value in dict(vars(kind)).items() for each in functions(value)]
+        for name, method in methods:
+            if name not in _MADE_WITH:
+                self._methods[name].append(method)
+        # What is installed may call whatever method of a class that is made from its own.
+        inherits = any(not _is_own(each) and each not in _BARE for each in _modules(kind))
+        special = [name for name, _ in methods if inherits or name.startswith("__")]
+        return *read().values(), *self._of_methods(*special, *self._used)
+
+    def _of_methods(self, *names: str) -> list[types.FunctionType]:
+        """Methods of classes seen so far that are used by one of these names."""
+        if "getattr" in self._used:
+            names = tuple(self._methods)
+        return [method for name in names for method in self._methods.pop(name, ())]
 
     def _of_an_array(self, array: Any) -> Iterable[Any]:
         if array.flags.writeable and self._bytes + array.nbytes <= LARGEST and array.dtype != object:
             self._bytes += array.nbytes
-            self._held.append(_Held(array, array.copy, functools.partial(np.copyto, array), array.copy()))
+            copied = array.copy()
+            self._contents.append(
+                Content(array, array.copy, functools.partial(np.copyto, array), copied, copied)
+            )
         return ()
 
     def _of_an_object(self, thing: Any) -> Iterable[Any]:
         """An object of somebody's class: what it holds, and what all of its class have in common."""
         kind, parts = type(thing), []
+        # Of what code that is installed writes into its objects nothing is known.
+        others = [each for each in _modules(kind) if not (_is_own(each) or _library(each) or each in _BARE)]
+        if not all(_top(each) in sys.stdlib_module_names for each in others):
+            self._writes = self._writes.also(Writes(content=True))
         for each in kind.__mro__:
             if not _library(each.__module__):
-                own = [name for name, value in vars(each).items() if _is_data(name, value)]
-                self._keep_attributes(each, tuple(own), setattr)
-                parts += [vars(each)[name] for name in own]
+                parts += self._of_a_class(each)
                 slots = vars(each).get("__slots__", ())
                 slots = (slots,) if isinstance(slots, str) else tuple(slots)
-                self._keep_attributes(thing, slots, object.__setattr__)
-                parts += [getattr(thing, name, None) for name in slots]
-        return *parts, getattr(thing, "__dict__", None)
+                parts += self._slots(thing, slots, freely=bool(others))
+        return *parts, *self._attributes(thing, freely=bool(others))
 
-    def _keep_names(self, owner: Any, names: dict[str, Any], which: tuple[str, ...]) -> None:
-        read = lambda: {name: names.get(name, _MISSING) for name in which}  # noqa: E731
+    def _slots(self, thing: Any, names: tuple[str, ...], freely: bool) -> Iterable[Any]:
+        def read() -> dict[str, Any]:
+            found = {name: getattr(thing, name, MISSING) for name in names}
+            return {name: value for name, value in found.items() if value is not MISSING}
 
-        def write(content: dict[str, Any]) -> None:
-            for name, value in content.items():
-                if value is _MISSING:
-                    names.pop(name, None)
-                else:
-                    names[name] = value
-
-        self._held.append(_Held(owner, read, write, read()))
-
-    def _keep_attributes(self, thing: Any, names: tuple[str, ...], set_: Callable[..., Any]) -> None:
-        read = lambda: {name: getattr(thing, name, _MISSING) for name in names}  # noqa: E731
-
-        def write(content: dict[str, Any]) -> None:
-            for name, value in content.items():
-                if value is not _MISSING:
-                    set_(thing, name, value)
+        def write(name: str, value: Any) -> None:
+            object.__delattr__(thing, name) if value is MISSING else object.__setattr__(thing, name, value)
 
         if names:
-            self._held.append(_Held(thing, read, write, read()))
+            self._keep(thing, read, write, freely)
+        return read().values()
+
+    def _attributes(self, thing: Any, freely: bool = False) -> Iterable[Any]:
+        own = getattr(thing, "__dict__", None)
+        if not isinstance(own, dict):
+            return ()
+        self._keep(thing, *of_a_dict(own), freely=freely)
+        return list(own.values())
+
+    def _keep(
+        self,
+        thing: Any,
+        read: Callable[[], dict[str, Any]],
+        write: Callable[[str, Any], Any],
+        freely: bool = False,
+    ) -> None:
+        now = read()
+        self._names.append(Names(thing, read, write, now, now, freely))
 
 
-def _how(thing: Any) -> tuple[Callable[[], Any], Callable[[Any], Any]] | None:
-    """How what it holds is read and written; None where that is its attributes."""
-    if isinstance(thing, types.CellType):
-        return lambda: [_cell(thing)], lambda content: setattr(thing, "cell_contents", content[0])
-    if isinstance(thing, dict):
-        return lambda: dict(thing), lambda content: (thing.clear(), thing.update(content))
-    if isinstance(thing, list):
-        return lambda: list(thing), lambda content: thing.__setitem__(slice(None), content)
-    if isinstance(thing, collections.deque):
-        return lambda: list(thing), lambda content: (thing.clear(), thing.extend(content))
-    if isinstance(thing, set):
-        return lambda: list(thing), lambda content: (thing.clear(), thing.update(content))
-    if isinstance(thing, np.random.Generator):
-        return lambda: thing.bit_generator.state, lambda content: setattr(
-            thing.bit_generator, "state", content
-        )
-    if isinstance(thing, np.random.RandomState):
-        return lambda: thing.get_state(legacy=False), thing.set_state
-    if isinstance(thing, random.Random) and not isinstance(thing, random.SystemRandom):
-        return thing.getstate, thing.setstate
-    return None
-
-
-def _generators(module: types.ModuleType) -> tuple[Any, ...]:
-    """The generator that a module of random numbers has for everybody."""
+def _generators(module: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
+    """The generator that a module has for everybody, if code with these names may use it."""
     if module is random:
         return (random._inst,)  # pyright: ignore[reportAttributeAccessIssue]
-    return (np.random.mtrand._rand,) if module in (np, np.random) else ()
-
-
-def _cell(cell: types.CellType) -> Any:
-    try:
-        return cell.cell_contents
-    except ValueError:  # a variable that has no value yet
-        return None
+    drawn = module is np.random or (module is np and "random" in names)
+    return (np.random.mtrand._rand,) if drawn else ()
 
 
 def _parts(content: Any) -> Iterator[Any]:
     return iter(content.values() if isinstance(content, dict) else content)
 
 
-def _same(one: Any, other: Any) -> bool:
-    """Whether two contents refer to the same things, or to equal numbers, texts and arrays that were copied."""
-    if one is other:
-        return True
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, dict):
-        return list(one) == list(other) and all(_same(one[name], other[name]) for name in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-    return isinstance(one, str | bytes | int | float | complex) and (one == other or one != one != other)
-
-
-def _names(code: types.CodeType) -> Iterator[str]:
-    """The global names that a function uses, and those of the functions in it."""
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _names(constant)
+def _is_used_up(thing: Any) -> bool:
+    """Whether it is an iterator, or a file that can be read."""
+    if isinstance(thing, io.IOBase):
+        return not thing.closed and thing.readable()
+    return hasattr(type(thing), "__next__")
 
 
 def _library(module: str | None) -> bool:
-    return (module or "").partition(".")[0] in _LIBRARIES
+    return _top(module or "") in _LIBRARIES
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
+
+
+@functools.lru_cache(maxsize=1024)
+def _is_own(module: str) -> bool:
+    """Whether a module is a person's own, and was not installed."""
+    if _library(module) or _top(module) in sys.stdlib_module_names:
+        return False
+    path = str(getattr(sys.modules.get(module), "__file__", None) or "")
+    return not {"site-packages", "dist-packages"}.intersection(Path(path).parts)
+
+
+def _modules(kind: type) -> list[str]:
+    """Of a class and of those that it is made from."""
+    return [each.__module__ for each in kind.__mro__]
+
+
+def _is_a_persons(thing: Any) -> TypeGuard[types.ModuleType]:
+    return isinstance(thing, types.ModuleType) and _is_own(thing.__name__)
 
 
 def _is_data(name: str, value: Any) -> bool:
     """Whether an attribute of a class is somebody's data, and no method of it."""
-    return not (name.startswith("__") or callable(value) or hasattr(value, "__get__"))
+    return not (name.startswith("__") or hasattr(type(value), "__get__"))

@@ -13,6 +13,7 @@ from gpcjax.engine.pupil import Pupil, idle, propose
 from gpcjax.engine.session import Session, no_number
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner
+from gpcjax.policies.vectors import near
 from gpcjax.recording import Deferred
 
 
@@ -58,6 +59,7 @@ def propose_together(
     pupils = [_pupil(session) for session in sessions]
     courses = [session._course for session in sessions]
     idle([pupil for course, pupil in zip(courses, pupils, strict=True) if course.idles])
+    observations = np.where(np.isfinite(observations), near(observations), observations)
     proposed, finite = propose(pupils, observations)
     actions = proposed.clip(-1.0, 1.0)
     raised: list[UserError | None] = []

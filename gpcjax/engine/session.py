@@ -33,6 +33,7 @@ from gpcjax.learners.compiled import rehearse
 from gpcjax.learners.saved import load_learner, save_learner
 from gpcjax.policies.base import Policy, Vector, check_executed, vector
 from gpcjax.policies.folder import read_card
+from gpcjax.policies.vectors import near
 from gpcjax.recording import Deferred, Recording, as_json
 
 
@@ -161,7 +162,7 @@ class Session:
         Raises:
             ValueError: another shape, or what is no number, in `obs` or as the policy's action.
         """
-        obs = self._numbers("obs", obs, self.learner.obs_size)
+        obs = near(self._numbers("obs", obs, self.learner.obs_size))
         course = self._course
         with self._lock:
             desk = course.desk.idled() if course.idles else course.desk
@@ -176,7 +177,7 @@ class Session:
 
     def act(self, obs: Vector) -> Float[np.ndarray, " action"]:
         """What the policy does at `obs` (obs_size,) now: (action_size,), in [-1, 1]. No step begins."""
-        obs = self._numbers("obs", obs, self.learner.obs_size)
+        obs = near(self._numbers("obs", obs, self.learner.obs_size))
         return self._course.desk.acts(obs)
 
     def act_at(self, obs: Any) -> Float[np.ndarray, "action points"]:
@@ -194,7 +195,7 @@ class Session:
             raise UserError(f"obs {shown(obs)}: give real numbers of shape ({size}, points)")
         if not np.isfinite(given).all():
             raise UserError(f"obs {shown(obs)}: each entry must be finite")
-        return self._course.desk.acts_at(given.astype(float))
+        return self._course.desk.acts_at(near(given.astype(float)))
 
     def executed(self, action: Vector) -> None:
         """Says what was executed at the latest step, where that is not what was proposed: advice is about this.

@@ -17,6 +17,7 @@ from gpcjax.envs.base import Env, State, fitted, limited, started, stepped
 from gpcjax.envs.brax_adapter import brax_env
 from gpcjax.envs.brax_tasks import KNOWN, Known
 from gpcjax.envs.host import UNLIMITED, HostEnv, gym_env
+from gpcjax.envs.views import check_view
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.making import Maker
 
@@ -76,7 +77,7 @@ def task_of(name: str, found: Callable[..., Any] | TaskSpec) -> TaskSpec:
     It is made once without arguments, to see what it is; what a description of theirs leaves open, it says itself.
 
     Raises:
-        UserError: what it makes is no task that can be taught, or another one than its description says.
+        UserError: what it makes is no task that can be taught, or another one than its description, or its view, says.
         ForeignError: it cannot be made, or its reset or its step fails.
     """
     source, told = f"env {name}", found if isinstance(found, TaskSpec) else None
@@ -88,6 +89,7 @@ def task_of(name: str, found: Callable[..., Any] | TaskSpec) -> TaskSpec:
         raise UserError(f"{source}: experts, presets and each of these are tables by name: give a dict")
     if spec.sizes is not None and tuple(spec.sizes) != sizes:
         raise UserError(f"{source}: its description has sizes {shown(spec.sizes)}, its task has {sizes}")
+    check_view(source, spec.view, sizes)
     return dataclasses.replace(
         spec,
         name=name,

@@ -176,8 +176,9 @@ class Learner(ByIdentity):
         Returns:
             The thread, which has begun: `join` it to wait until all is compiled. A program that ends waits for it.
         """
-        self._run_once(state, donate)
-        thread = threading.Thread(target=self._warm_up_larger, args=(state, donate), name="gpcjax warm-up")
+        # The thread has a state of its own: this one may be given away before it comes to that.
+        own = self._run_once(state, donate)
+        thread = threading.Thread(target=self._warm_up_larger, args=(own, donate), name="gpcjax warm-up")
         thread.start()
         return thread
 
@@ -240,7 +241,7 @@ class Learner(ByIdentity):
         told = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((info.rate, moment.obs, moment.action))]
         finite = jnp.stack([*_stays_finite(new, state), *told]).all()
         kept = jax.tree.map(lambda now, old: jnp.where(given & finite, now, old), new, state)
-        status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status)
+        status = jnp.where(given & ~finite, jnp.int32(Status.NON_FINITE), info.status).astype(jnp.int32)
         learned = (advice != 0) & finite & (status == Status.OK)
         return kept, dataclasses.replace(info, rate=jnp.where(learned, info.rate, 0.0), status=status)
 
@@ -271,14 +272,15 @@ class Learner(ByIdentity):
         """The states with a change; `place` is its place, the indices of their first axes."""
         raise NotImplementedError
 
-    def _run_once(self, state: State, donate: bool) -> None:
-        """All that a loop calls, without advice."""
+    def _run_once(self, state: State, donate: bool) -> State:
+        """All that a loop calls, without advice; the same state in new arrays."""
         obs, none = np.zeros(self.obs_size), np.zeros(self.action_size)
         self.act(state, obs)
         self.has_room(state)
         # One that is given away is a copy: `state` is somebody's.
         spare = jax.tree.map(jnp.copy, state) if donate else state
-        jax.block_until_ready(self.correct(spare, obs, none, none, donate=donate))
+        same, _ = jax.block_until_ready(self.correct(spare, obs, none, none, donate=donate))
+        return same
 
     def _warm_up_larger(self, state: State, donate: bool) -> None:
         larger = self.grow(state) if self.wants_room else state

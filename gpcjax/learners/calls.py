@@ -5,8 +5,10 @@ of a correction that computes for one. Here that is done once for each learner a
 flattens the state, and hands its arrays to a compiled function.
 """
 
+import contextlib
 import functools
 import weakref
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,6 +21,10 @@ from gpcjax.errors import UserError
 
 Function = Callable[..., Any]
 
+KEPT = 64
+"""Programs of one function that are kept, those called last: kinds of learners, with rooms of their states. A learner
+with a function in a field is of another kind with each new function."""
+
 
 class Called:
     """A function of a learner, its state and vectors, compiled for each structure of the first two."""
@@ -28,7 +34,7 @@ class Called:
         self.function = function
         """The function itself, part of what jax traces."""
         self._otherwise = eqx.filter_jit(function)
-        self._programs: dict[Any, Function] = {}
+        self._programs: OrderedDict[Any, Function] = OrderedDict()
 
     def __call__(self, learner: Any, state: Any, *vectors: Any, donate: bool = False) -> Any:
         """What the function gives.
@@ -44,13 +50,18 @@ class Called:
             # Part of what jax traces, or something to be refused: where it is traced, as ever.
             return self._otherwise(learner, state, *vectors)
         if leaves and isinstance(leaves[0], jax.Array) and leaves[0].is_deleted():
-            raise UserError("state: it was given away (donate), use the one that came of it")
+            raise _given_away()
         numbers, kind = learners
         donate = donate and _can_be_given(leaves, numbers)
         key = kind, form, donate
         program = self._programs.get(key)
         if program is None:
             program = self._programs[key] = self._program(*key)
+            while len(self._programs) > KEPT:
+                self._programs.popitem(last=False)
+        else:
+            with contextlib.suppress(KeyError):  # another thread has dropped it since
+                self._programs.move_to_end(key)
         return program(numbers, leaves, *vectors)
 
     def _program(self, kind: Any, form: Any, donate: bool) -> Function:
@@ -61,6 +72,17 @@ class Called:
 
         del run.__wrapped__  # whose signature has other names: jax looks it up
         return jax.jit(run, donate_argnums=(1,) if donate else ())
+
+
+def check_kept(state: Any) -> None:
+    """Raises UserError: the state was given away, so that there is nothing in its arrays."""
+    for leaf in jax.tree.leaves(state):
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and leaf.is_deleted():
+            raise _given_away()
+
+
+def _given_away() -> UserError:
+    return UserError("state: it was given away (donate), use the one that came of it")
 
 
 _known: "weakref.WeakKeyDictionary[Any, tuple[list[Any], Any] | None]" = weakref.WeakKeyDictionary()

@@ -12,11 +12,11 @@ from jaxtyping import Array, Float, PyTree
 from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.learners.calls import Called
+from gpcjax.learners.calls import Called, check_kept
 from gpcjax.learners.forms import check
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
-from gpcjax.policies.vectors import FARTHEST
+from gpcjax.policies.vectors import near
 
 Learner = Any
 """A `gpcjax.learners.base.Learner`, whose methods call these."""
@@ -27,7 +27,7 @@ State = PyTree
 def act(learner: Learner, state: State, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
     """The action at `obs`, in [-1, 1]."""
     _check_precision(learner, state)
-    action = learner.controller(state)(jnp.clip(obs, -FARTHEST, FARTHEST))
+    action = learner.controller(state)(near(obs))
     check(f"{type(learner).__name__}.propose", "an action", action, _an_action(learner))
     return jnp.clip(action, -1.0, 1.0)
 
@@ -38,7 +38,7 @@ def uncertainty(
 ) -> Float[Array, " action"]:
     """sigma_h at (obs, action)."""
     _check_precision(learner, state)
-    return learner._uncertainty(state, obs, action)
+    return learner._uncertainty(state, near(obs), action)
 
 
 @Called
@@ -52,6 +52,7 @@ def correct(
     """What `state` becomes with one correction of arguments that were checked, and what was done."""
     # One dimension after the other, as in the engine: each is a correction of its own.
     _check_precision(learner, state)
+    obs = jnp.where(jnp.isfinite(obs), near(obs), obs)  # nothing is learned of what is infinite
     if learner.joint:
         here = Moment(obs=obs, action=action, episode=jnp.int32(0), step=jnp.int32(0))
         return learner._learn(state, here, advice, seeded_key())
@@ -83,6 +84,7 @@ def rehearse(learner: Learner, state: State) -> None:
 
 def check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
+    check_kept(state)
     expected = jax.eval_shape(lambda: learner.init(seeded_key()))
     shapes = list(map(_shape, jax.tree.leaves(state)))
     if jax.tree.structure(state) == jax.tree.structure(expected) and None not in shapes:

@@ -25,7 +25,7 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from gpcjax._x64 import seeded_key
-from gpcjax.allowed import FINITE, Numbers, checked, checked_series
+from gpcjax.allowed import POSITIVE, Numbers, checked, checked_series
 from gpcjax.elementary import tanh
 from gpcjax.learners.base import Info, Learner, Moment
 from gpcjax.learners.descriptions import D_COACH
@@ -188,7 +188,7 @@ def make_dcoach(*, obs_size: int, action_size: int, scaling: Any = 1.0, **settin
     return DCoach(
         learning_rate=jnp.asarray(rate, float),
         magnitude=jnp.asarray(checked_series("magnitude", given["magnitude"], action_size, magnitude), float),
-        scaling=jnp.asarray(checked_series("scaling", scaling, obs_size, FINITE), float),
+        scaling=jnp.asarray(checked_series("scaling", scaling, obs_size, POSITIVE), float),
         obs_size=obs_size,
         action_size=action_size,
         **whole,

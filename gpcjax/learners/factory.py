@@ -11,6 +11,7 @@ from gpcjax._x64 import under_own_settings
 from gpcjax.allowed import (
     COUNT,
     FINITE,
+    POSITIVE,
     SWITCH,
     Numbers,
     OneOf,
@@ -293,7 +294,7 @@ def _number(name: str, value: Any) -> Array:
 
 
 def _vector(name: str, value: Any, size: int) -> Array:
-    """One hyperparameter for each of `size` dimensions; what is in no table is any finite number."""
-    allowed = ALLOWED.get(name, FINITE)
+    """One hyperparameter for each of `size` dimensions; a scale, which is in no table, is above 0."""
+    allowed = ALLOWED.get(name, POSITIVE)
     assert isinstance(allowed, Numbers)
     return jnp.asarray(checked_series(name, value, size, allowed), float)

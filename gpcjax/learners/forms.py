@@ -18,7 +18,18 @@ def check_learned(source: str, given: Any, state: Any, action: Any) -> None:
             source, f"it gives {worded(given)}, it should give the new state and a gpcjax.Info"
         )
     check(source, "the new state", *(jax.tree.map(_as_array, each) for each in (given[0], state)))
-    check(source, "Info.rate", given[1].rate, action)
+    info = given[1]
+    flag = jax.ShapeDtypeStruct(action.shape, jnp.bool_)
+    for name in ("rate", "sigma_policy", "sigma_human"):
+        check(source, f"Info.{name}", getattr(info, name), action)
+    for name in ("appended", "replaced", "full"):
+        check(source, f"Info.{name}", getattr(info, name), flag)
+    status = _as_array(info.status)
+    known = form(status)
+    if known is None or known[0] != () or not jnp.issubdtype(known[1], jnp.integer):
+        raise does_not_fit(
+            source, f"Info.status is {worded(status)}, it should be one whole number, a Status"
+        )
 
 
 def check(source: str, what: str, given: Any, expected: Any, exactly: bool = False) -> None:

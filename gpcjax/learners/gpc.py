@@ -24,6 +24,7 @@ from gpcjax.gp.posterior import Posterior, small
 from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.learners.calls import check_kept
 from gpcjax.policies.kernel import KernelController
 
 
@@ -108,6 +109,7 @@ class GPC(Learner):
 
     def resize(self, state: GPCState, policy_capacity: int, human_capacity: int) -> GPCState:
         """The same state with room for these many points in each policy and each human model."""
+        check_kept(state)
         return _resized(self, state, policy_capacity, human_capacity)
 
     def controller(self, state: GPCState) -> KernelController:
@@ -123,10 +125,12 @@ class GPC(Learner):
 
     def points(self, state: GPCState) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Points of P and of H over all action dimensions."""
+        check_kept(state)
         return state.policy.count.sum(), state.human.count.sum()
 
     def has_room(self, state: GPCState, corrections: int = 1) -> Bool[Array, ""]:
         """Whether so many more corrections surely fit into every dictionary."""
+        check_kept(state)
         policy = (state.policy.count + (corrections - 1) < state.policy.points.shape[1]).all()
         return policy & (state.human.count + (corrections - 1) < state.human.points.shape[1]).all()
 

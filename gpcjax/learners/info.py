@@ -1,6 +1,7 @@
 """What became of a correction."""
 
 import enum
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,7 +58,8 @@ class Info(eqx.Module):
     """A `Status`."""
 
     @classmethod
-    def of(cls, rate: Float[Array, " action"]) -> "Info":
-        """Of a learner without dictionaries: how far each action dimension was moved, (action_size,)."""
+    def of(cls, rate: Any) -> "Info":
+        """Of a learner without dictionaries: how far each action dimension was moved, (action_size,), as numbers."""
+        rate = jnp.asarray(rate)
         none, unknown = jnp.zeros(rate.shape, bool), jnp.full(rate.shape, jnp.nan)
         return cls(rate, unknown, unknown, none, none, none, jnp.asarray(Status.OK, jnp.int32))

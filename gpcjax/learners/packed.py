@@ -23,12 +23,21 @@ from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.process import GaussianProcess
 from gpcjax.gp.renormalised import Renormalised
 from gpcjax.learners.base import Learner, State
+from gpcjax.learners.calls import check_kept
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
 from gpcjax.learners.gpc import GPC, GPCState
-from gpcjax.learners.recipes import RECIPE, check_plain, leaves_of, pack_own, recipe_of, template_of_own
+from gpcjax.learners.recipes import (
+    RECIPE,
+    check_plain,
+    leaves_of,
+    other_function,
+    pack_own,
+    recipe_of,
+    template_of_own,
+)
 from gpcjax.policies.folder import FORMAT, first_line
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
@@ -53,7 +62,9 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
     Raises:
         ValueError: a learner or a state that has no format, that is not finite, or not the learner's.
     """
-    if type(checked_learner(learner)) not in _BUILT_IN:
+    learner = checked_learner(learner)
+    check_kept(state)
+    if type(learner) not in _BUILT_IN:
         return _packed_own(fixed(learner), state)
     settings = _settings(learner, state)
     template = _template(settings)
@@ -81,7 +92,13 @@ def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[st
     except UserError as error:
         raise UserError(f"{_ANOTHER} ({error})") from None
     if jax.tree.structure((learner, state)) != jax.tree.structure(template):
-        raise UserError(_ANOTHER)
+        name = other_function(learner, template[0])
+        why = (
+            ""
+            if name is None
+            else f" ({name} is another function than its class has: write a class that has it)"
+        )
+        raise UserError(_ANOTHER + why)
     return card, arrays
 
 

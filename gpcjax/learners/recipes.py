@@ -13,12 +13,15 @@ import jax
 import numpy as np
 
 from gpcjax._x64 import seeded_key, under_own_settings
+from gpcjax.allowed import plain
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.factory import make_learner
+from gpcjax.learners.foreign import arguments
 from gpcjax.policies.folder import FORMAT
 from gpcjax.registry import find
 
+_MISSING = object()
 RECIPE = "recipe"
 """The key of a card that has one."""
 
@@ -42,7 +45,8 @@ class Recipe:
 def recipe_of(learner: Learner) -> Recipe:
     """How a learner of somebody's own class can be made again: by that class, with what is compiled in.
 
-    All else that tells it from others is in its arrays.
+    These are whole numbers, truth values and texts; functions have no form. All else that tells it from others is in
+    its arrays.
 
     Raises:
         UserError: its class is not to be found by its name.
@@ -50,11 +54,27 @@ def recipe_of(learner: Learner) -> Recipe:
     name = f"{type(learner).__module__}:{type(learner).__qualname__}"
     if "<" in name:
         raise UserError(f"learner {name}: its class is defined within a function, define it in a module")
-    settings = {"obs_size": learner.obs_size, "action_size": learner.action_size}
-    for each in find("learner", name, "learner").settings:
-        if each.compiled == "value" and hasattr(learner, each.name):
-            settings[each.name] = np.asarray(getattr(learner, each.name)).item()
+    settings: dict[str, Any] = {"obs_size": learner.obs_size, "action_size": learner.action_size}
+    spec = find("learner", name, "learner")
+    numeric = {each.name: each.compiled == "value" for each in spec.settings}
+    for argument in arguments(spec):
+        value = plain(getattr(learner, argument, _MISSING))
+        if numeric.get(argument, isinstance(value, str | bool | None)) and value is not _MISSING:
+            settings[argument] = np.asarray(value).item() if argument in numeric else value
     return Recipe(name, None, settings)
+
+
+def other_function(learner: Learner, made: Learner) -> str | None:
+    """The name of a field in which a learner has another function than the one that its recipe has made."""
+    names = [each.name for each in dataclasses.fields(learner)]
+    return next(
+        (
+            name
+            for name in names
+            if callable(given := getattr(learner, name)) and given != getattr(made, name, given)
+        ),
+        None,
+    )
 
 
 def check_plain(place: str, name: str, tree: Any) -> None:

@@ -13,6 +13,7 @@ from gpcjax.errors import UserError
 from gpcjax.policies.folder import CARD, read_card
 from gpcjax.policies.saved import load_card, load_policy
 from gpcjax.sweep.layout import MANIFEST
+from gpcjax.teach.course import COURSE, SAVES
 
 TAUGHT = "policy"
 """In a folder of `gpcjax teach`, that of the policy so far."""
@@ -100,6 +101,8 @@ def policy_of(word: str, env: str | None, seed: int | None, where: Mapping[str, 
     for path in (folder, folder / TAUGHT):
         if (path / CARD).is_file():
             return _saved(path, env)
+    if is_lesson(folder):
+        raise UserError(f"{word}: {_without_policy(folder)}")
     if folder.is_dir():
         raise UserError(
             f"{word}: no policy is there, give a run folder with kept policies (--keep policies), the folder of a "
@@ -110,7 +113,23 @@ def policy_of(word: str, env: str | None, seed: int | None, where: Mapping[str, 
 
 def _has_runs(folder: Path) -> bool:
     """Whether a sweep made it; a folder of `gpcjax teach` has rows like one, but its policy lies beside them."""
-    return (folder / MANIFEST).is_file() and not (folder / TAUGHT / CARD).is_file()
+    return (folder / MANIFEST).is_file() and not is_lesson(folder)
+
+
+def is_lesson(folder: Path) -> bool:
+    """Whether somebody teaches there (`gpcjax teach`), or has."""
+    return (folder / COURSE).is_file() or (folder / TAUGHT / CARD).is_file()
+
+
+def _without_policy(lesson: Path) -> str:
+    """What of a lesson can be played where it has no policy of its own."""
+    saves = sorted(path.parent for path in lesson.glob(f"{SAVES}/*/{CARD}"))
+    if saves:
+        return f"there is no policy of this lesson, give one that was saved: {', '.join(map(str, saves[:6]))}"
+    return (
+        "there is no policy of this lesson yet, or its learner has none that can be written down: save what it learned "
+        f"on the page, and give {lesson / SAVES / 'NAME'}"
+    )
 
 
 def _of_runs(folder: Path, env: str | None, seed: int | None, where: Mapping[str, str]) -> Chosen:

@@ -97,13 +97,36 @@ def _show(player: "Player", wishes: Wishes, word: str) -> int:
             watch(figure, _frames(world, player, wishes, _stage(figure, world, player)))
         return 0
     path = wishes.gif if wishes.gif is not None else Path("runs", f"play-{_name_of(word)}.gif")
-    path.parent.mkdir(parents=True, exist_ok=True)
     few = wishes if wishes.seconds is not None else wishes._replace(seconds=GIF_SECONDS)
+    _check_frames(world, player, few)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with publication():
         figure = Figure()
         made = write_gif(path, figure, _frames(world, player, few, _stage(figure, world, player)))
     print(f"{path}: {made.frames} frames, {made.seconds:.1f} s")
     return 0
+
+
+def _check_frames(world: "World", player: "Player", wishes: Wishes) -> None:
+    """Refuses a GIF that no memory holds. Raises UserError."""
+    from gpcjax.play.showing import MOST_FRAMES
+
+    every, last = _shown(player, wishes)
+    each = math.floor(min(last, world.max_steps) / every) + 2
+    if wishes.episodes * each > MOST_FRAMES:
+        raise UserError(
+            f"--episodes {wishes.episodes}: {wishes.episodes * each:,} frames are more than the {MOST_FRAMES:,} of a "
+            "GIF, give fewer episodes, fewer --seconds, or a higher --speed"
+        )
+
+
+def _shown(player: "Player", wishes: Wishes) -> tuple[int, float]:
+    """Each how many steps of an episode are seen, and the last one of them."""
+    from gpcjax.play.showing import FRAMES_A_SECOND
+
+    seconds = seconds_of(find("task", player.env))
+    every = max(1, math.ceil(wishes.speed / (FRAMES_A_SECOND * seconds) - 1e-9))
+    return every, math.inf if wishes.seconds is None else wishes.seconds / seconds
 
 
 def _world(player: "Player", seed: int) -> "World":
@@ -135,11 +158,10 @@ def _stage(figure: "Figure", world: "World", player: "Player") -> "Stage":
 def _frames(world: "World", player: "Player", wishes: Wishes, stage: "Stage") -> "Iterator[Frame]":
     """What is seen of all episodes; each is simulated to its end, and what it returned is printed."""
     from gpcjax.play.episodes import moments
-    from gpcjax.play.showing import FRAMES_A_SECOND, HOLD, Frame
+    from gpcjax.play.showing import HOLD, Frame
 
     step = seconds_of(find("task", player.env)) / wishes.speed
-    every = max(1, math.ceil(1 / (FRAMES_A_SECOND * step) - 1e-9))
-    last = math.inf if wishes.seconds is None else wishes.seconds / (step * wishes.speed)
+    every, last = _shown(player, wishes)
     for episode in range(1, wishes.episodes + 1):
         moment: Moment | None = None
         for moment in moments(world, player, episode):

@@ -17,6 +17,12 @@ FRAMES_A_SECOND = 25
 """At most: a figure takes some 20 ms, and viewers of GIFs slow down those of more than 50."""
 
 COLOURS = 128
+MOST_FRAMES = 6_000
+"""Of a GIF: each is in memory with 280 kB until it is written."""
+
+WINDOWS = ("gtk3", "gtk4", "macosx", "qt", "qt5", "qt6", "tk", "wx")
+"""What matplotlib opens windows with."""
+
 HOLD = 0.8
 """Seconds for which the end of an episode is seen."""
 
@@ -37,33 +43,41 @@ class Gif(NamedTuple):
 
 
 def write_gif(path: Path, figure: Figure, frames: Iterator[Frame]) -> Gif:
-    """Writes all frames of a figure to `path`, in the place of what was there.
+    """Writes all frames of a figure to `path`, in the place of what was there; what is seen twice in a row is one.
 
     Raises:
         OSError: it cannot be written.
     """
     canvas = FigureCanvasAgg(figure)
-    images, delays = [], []
-    for frame in frames:
-        frame.draw()
-        canvas.draw()
-        pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-        images.append(Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE))
-        delays.append(10 * round(100 * frame.seconds))  # a GIF counts hundredths of a second
-    content = io.BytesIO()
-    first, *others = images
-    first.save(content, format="GIF", save_all=True, append_images=others, duration=delays, loop=0)
+    delays: list[int] = []
+
+    def images() -> Iterator[Image.Image]:
+        for frame in frames:
+            frame.draw()
+            canvas.draw()
+            pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+            delays.append(10 * round(100 * frame.seconds))  # a GIF counts hundredths of a second
+            yield Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE)
+
+    content, each = io.BytesIO(), images()
+    # Taken one by one, each when its delay is known: Pillow keeps its own copy of every one.
+    next(each).save(content, format="GIF", save_all=True, append_images=each, duration=delays, loop=0)
     write_atomic(path, content.getvalue())
-    return Gif(len(images), sum(delays) / 1000)
+    with Image.open(content) as written:
+        return Gif(getattr(written, "n_frames", 1), sum(delays) / 1000)
 
 
 def has_window() -> bool:
-    """Whether matplotlib can open one here: there is a display, and something that draws on it."""
+    """Whether matplotlib can open one here: there is a display, and a framework for windows that draws on it.
+
+    In a notebook or a browser (nbagg, webagg) nobody would see one.
+    """
     import matplotlib
     import matplotlib.pyplot
-    from matplotlib.backends.registry import BackendFilter, backend_registry
+    from matplotlib.backends.registry import backend_registry
 
-    return matplotlib.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE)
+    _, framework = backend_registry.resolve_backend(matplotlib.get_backend())
+    return framework in WINDOWS
 
 
 def watch(figure: Figure, frames: Iterator[Frame]) -> None:

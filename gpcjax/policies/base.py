@@ -12,10 +12,10 @@ import gpcjax.policies.pytree  # noqa: F401  (policies are part of jax wherever 
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
 from gpcjax.errors import ForeignError
 from gpcjax.policies.policy import Policy as Policy
-from gpcjax.policies.vectors import FARTHEST as FARTHEST
 from gpcjax.policies.vectors import Vector as Vector
 from gpcjax.policies.vectors import beyond as beyond
 from gpcjax.policies.vectors import check_executed as check_executed
+from gpcjax.policies.vectors import near as near
 from gpcjax.policies.vectors import vector as vector
 
 
@@ -87,7 +87,7 @@ def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
 # Inline: where a policy is part of a larger program, that program is the same as without this function.
 @jax.jit(inline=True)
 def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
-    action = controller(jnp.clip(obs, -FARTHEST, FARTHEST))
+    action = controller(near(obs))
     if getattr(action, "shape", None) != (controller.action_size,):
         raise ForeignError(
             f"the policy of {type(getattr(controller, 'learner', controller)).__name__} does not fit",

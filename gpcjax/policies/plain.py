@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpcjax.gp.smoothness import SQUARED_EXPONENTIAL
-from gpcjax.policies.vectors import FARTHEST
+from gpcjax.policies.vectors import FARTHEST, near
 
 Numbers = Float[np.ndarray, "..."]
 
@@ -46,7 +46,7 @@ class Plain(abc.ABC):
         """The action in [-1, 1]; NaN stays NaN, as in jax, and nobody is warned of it."""
         with np.errstate(all="ignore"):
             if not obs.dot(obs) <= _NEAR:  # quicker than to bound each number at each call
-                obs = np.clip(obs, -FARTHEST, FARTHEST)
+                obs = near(obs)
             return np.minimum(np.maximum(self(obs), -1.0), 1.0)
 
 

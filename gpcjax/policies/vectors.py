@@ -13,8 +13,13 @@ Vector = Any
 
 
 FARTHEST = 1e60
-"""Numbers of an observation beyond it, up or down, are taken for it by a policy: their squares would be infinite, and
-an action made of them no number."""
+"""Numbers of an observation beyond it, up or down, are taken for it (`near`): their squares would be infinite, and an
+action made of them no number. A run of a sweep stops there (`Status.NON_FINITE`): no task leads that far."""
+
+
+def near(obs: Any) -> Any:
+    """An observation, an array of numpy's or of jax's, as policies take it, and what learns them from Python."""
+    return obs.clip(-FARTHEST, FARTHEST)
 
 
 def is_jax(value: object) -> bool:

@@ -1,12 +1,14 @@
 """The episodes of a store as one table: a line for each run, those of a group below each other by seed."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from gpcjax.recording import CUT
+from gpcjax.sweep.coded import Coded
 from gpcjax.sweep.counted import OK, Episodes
 
 
@@ -48,6 +50,30 @@ class Lines(NamedTuple):
     unfinished: tuple[int, ...]
     totals: list[int]
     """Sums over the counted runs, in the order of `Episodes.totals`."""
+
+
+def without_cut(episodes: Episodes) -> tuple[Episodes, int]:
+    """The same without the episodes of a lesson that were ended before the task did, and how many these are.
+
+    Those that are left are counted from 1 again.
+    """
+    cut = np.array([status == CUT for status in episodes.status.values], bool)[episodes.status.codes]
+    if not cut.any():
+        return episodes, 0
+    order = np.lexsort((episodes.episode, episodes.cell))
+    before = np.cumsum(cut[order])  # of the cells before it, too
+    first = np.searchsorted(episodes.cell[order], episodes.cell[order])
+    earlier = np.empty(len(cut), np.int64)
+    earlier[order] = before - np.concatenate([[0], before])[first]
+    kept = ~cut
+    return replace(
+        episodes,
+        cell=episodes.cell[kept],
+        episode=(episodes.episode - earlier)[kept].astype(np.int32),
+        returns=episodes.returns[kept],
+        corrections=episodes.corrections[kept],
+        status=Coded(episodes.status.codes[kept], episodes.status.values),
+    ), int(cut.sum())
 
 
 def broken(episodes: Episodes) -> Bool[np.ndarray, "rows"]:

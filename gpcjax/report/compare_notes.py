@@ -84,6 +84,8 @@ def uncounted(folders: Iterable[Folder]) -> list[str]:
             )
         if unfinished:
             parts.append(f"{_runs(unfinished)} not finished, in no number")
+        if folder.study.cut:
+            parts.append(f"{words.cut_short(folder.study.cut)}, in no number")
         if parts:
             lines.append(f"{folder.name}: {'; '.join(parts)}.")
     return lines

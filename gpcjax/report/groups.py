@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in
-from gpcjax.report.arranged import Lines, arranged, broken, compared_length, parted
+from gpcjax.report.arranged import Lines, arranged, broken, compared_length, parted, without_cut
 from gpcjax.report.statistics import Scores, first_crossing
 from gpcjax.sweep.coded import Coded, joint
 from gpcjax.sweep.counted import Episodes
@@ -135,7 +135,8 @@ class Group:
 class Study:
     """All groups of a store with what its manifest says of them.
 
-    `episodes` is how long the compared runs are: as long as the specification says, or as the longest run so far.
+    `episodes` is how long the compared runs are: as long as the specification says, or as the longest run so far. `cut`
+    counts the episodes of a lesson that are in no number, as they were ended before the task did.
     """
 
     env: str
@@ -145,6 +146,7 @@ class Study:
     idle: Baseline
     oracles: Mapping[str, Baseline]
     manifest: Mapping[str, Any]
+    cut: int = 0
 
     @cached_property
     def algorithms(self) -> tuple[str, ...]:
@@ -185,7 +187,7 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
     """Sort the rows of a store into groups, ordered by oracle, error, algorithm, point.
 
     Raises:
-        UserError: there is no row.
+        UserError: there is no row, or none of a whole episode.
     """
     remember(manifest)
     specification = manifest.get("specification", {})
@@ -195,6 +197,9 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
             raise UserError("the store holds no episodes: run the sweep first")
         varying = [name for name in manifest.get("varying", ()) if name in episodes.columns]
         episodes = Episodes.of(episodes, varying)
+    episodes, cut = without_cut(episodes)
+    if cut and not len(episodes.cell):
+        raise UserError("each of its episodes was ended before the task did: let the task end one")
     idle = _baseline(baselines.get("idle"))
     over = broken(episodes)
     length = compared_length(episodes, over, specification.get("episodes"))
@@ -209,6 +214,7 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
         idle=idle,
         oracles={name: _baseline(numbers) for name, numbers in (baselines.get("oracles") or {}).items()},
         manifest=manifest,
+        cut=cut,
     )
 
 

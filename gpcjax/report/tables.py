@@ -110,8 +110,10 @@ def warnings(summary: Summary) -> list[str]:
         lines.append(f"{_runs(summary.missing)} of the specification {_has(summary.missing)} no episode yet.")
     if summary.unfinished or summary.missing:
         lines.append("The same sweep again runs what is missing.")
+    if study.cut:
+        lines.append(f"{words.cut_short(study.cut)} {_are(study.cut)} in no number below.")
     specified = study.manifest.get("specification", {}).get("episodes")
-    if specified and study.episodes < specified:
+    if specified and not study.cut and study.episodes < specified:
         lines.append(f"No run is complete: these are the first {study.episodes} of {specified} episodes.")
     return lines
 

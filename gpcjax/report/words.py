@@ -15,6 +15,7 @@ from gpcjax.sweep.labels import known
 ABSENT = "-"
 STATUS_TEXTS = {"full": "dictionary full", "non-finite": "a number was not finite"}
 
+
 _SETTINGS: dict[str, Setting] = {
     setting.name: setting
     for kind in ("learner", "teacher")
@@ -162,3 +163,9 @@ def printable(text: str, encoding: str | None) -> str:
 def plus_minus(mean: float, std: float, decimals: int) -> str:
     """A mean and its standard deviation."""
     return f"{number(mean, decimals)} ± {number(std, decimals)}"
+
+
+def cut_short(count: int) -> str:
+    """So many episodes of a lesson that its task did not end."""
+    what = "1 episode that was" if count == 1 else f"{count:,} episodes that were"
+    return f"{what} ended before the task did (by a person, a limit of time, or a failure)"

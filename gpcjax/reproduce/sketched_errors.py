@@ -19,6 +19,9 @@ SCALE_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)))
 
 NUMBER = "advice number"
 
+APART = 0.13
+"""Between lines of whole numbers that would lie upon each other."""
+
 
 def erroneous(record: Erroneous) -> Drawing:
     """Fig. 5.9: action, rate and compensation around one erroneous advice, a row for each algorithm."""
@@ -56,9 +59,9 @@ def erroneous(record: Erroneous) -> Drawing:
         "Fig. 5.9: erroneous advice",
         "Fig. 5.9: one wrong advice among right ones at one state, with a short and a long length-scale of the human "
         "model. The cross is the action that it left (its rate, beside). Right: how many right ones it takes until the "
-        "action is back, over length-scales, for three numbers of the wrong advice. A small cross low in the panel "
-        "says that with such a length-scale the action is at its target before that advice: there is none to go "
-        "wrong.",
+        "action is back, over length-scales, for three numbers of the wrong advice: whole numbers, drawn a little "
+        "apart. A small cross low in the panel says that with such a length-scale the action is at its target before "
+        "that advice: there is none to go wrong.",
     )
 
 
@@ -102,7 +105,7 @@ def _scan(axis: Axes, record: Erroneous, i: int) -> None:
     ):
         axis.plot(
             record.scanned_length_scales,
-            record.scanned_samples[i, :, k],
+            record.scanned_samples[i, :, k] + APART * (1 - k),
             color=shade,
             marker=marker,
             markersize=3.0,
@@ -113,12 +116,14 @@ def _scan(axis: Axes, record: Erroneous, i: int) -> None:
         axis.plot(silent, np.full(len(silent), 0.25 + 0.35 * k), "x", color=shade, markersize=3.5)
     known = float(record.thesis_length_scales[i])
     axis.axvline(known, color=style.INK, linewidth=0.6, linestyle=":", zorder=0)
-    axis.text(known, 1.25, " Table 5.2", fontsize=6.5)
+    axis.text(known, 0.2, " Table 5.2", fontsize=6.5)
     axis.set_xscale("log")
     ticks = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_xticks([], minor=True)
     axis.set_xlabel("length-scale $l_h$")
     axis.set_ylabel("samples to compensate")
-    axis.set_ylim(0.0, 7.6)
+    most = record.scanned_samples[np.isfinite(record.scanned_samples)].max(initial=1.0)
+    axis.set_ylim(0.0, 1.27 * most)  # the legend is above
+    axis.yaxis.set_major_locator(MaxNLocator(integer=True))
     axis.legend(fontsize=6.5, handlelength=1.6, loc="upper right" if i == 0 else "upper left")

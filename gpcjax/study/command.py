@@ -93,6 +93,7 @@ def _hold(spec: Path | None, out: Path | None, host: str, own: dict) -> int:
         raise UserError(f"{out}: the study runs already ({who}), end it before")
     with held(out):
         register = Register(out, what)
+        register.kept_number()  # what is damaged there is told now, and not to the first who comes
         register.expire()
         try:
             from gpcjax.study.server import Serving, host_of

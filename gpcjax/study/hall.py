@@ -22,6 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
@@ -48,6 +49,9 @@ LATEST = 0.25
 
 FLUSH_APART, KEEP_APART, SIGMA_APART = 1.0, 10.0, 0.2
 """Seconds between two of a kind, for each run."""
+
+LEAVE_SECONDS = 60.0
+"""Within which what a run has come to is written when it is left."""
 
 
 class Hall:
@@ -127,6 +131,18 @@ class Hall:
             self._seats.add(seat)
         self._door.ask(f"{id(seat)}", lambda: self._prepare(seat))
         return seat
+
+    def await_left(self, folder: Path) -> None:
+        """Waits until all is written of the runs in a folder, whose seats were told to leave: nothing is after that.
+
+        Raises:
+            UserError: that takes too long.
+        """
+        with self._taking:
+            here = [each for each in self._seats if each.run.folder.is_relative_to(folder)]
+        for each in here:
+            if not each.gone.wait(LEAVE_SECONDS):
+                raise UserError(f"{each.run.folder}: it is still being written, try again")
 
     @property
     def free(self) -> int:

@@ -13,6 +13,7 @@ from gpcjax.registry import find
 from gpcjax.study.standing import Run
 from gpcjax.teach.beginning import beginning
 from gpcjax.teach.course import COURSE, RECORD, Course, seconds_of
+from gpcjax.teach.credit import credited
 from gpcjax.teach.tally import Tally
 from gpcjax.teach.taught import Taught, settings_of
 from gpcjax.teach.telling import bounds, described_task
@@ -35,8 +36,6 @@ class Kind:
         self.seconds = seconds_of(task)
         """Of a step."""
         self.action_size = learner.action_size
-        self.credited = math.floor(dict(course.settings).get("credit", 0.0) / task.seconds + 0.5)
-        """How many steps back the step is that an advice is shown to be about."""
         prior = float(learner.largest_sigma())
         self.prior = prior if prior > 0 else None
         size = learner.obs_size
@@ -85,7 +84,9 @@ class Kind:
         run.course.write(run.folder)
         settings = settings_of(run.course)
         session = in_classroom(self._classroom, self.learner_of(run.course), settings, record)
-        taught = Taught(run.folder, run.course, session, self._worlds.enter(run.course.seed), Tally())
+        taught = Taught(
+            run.folder, run.course, session, self._worlds.enter(run.course.seed), Tally(credited(run.course))
+        )
         try:
             taught.begin_episode()
         except UserError:

@@ -120,11 +120,12 @@ def _arms(
             delay=float(each.take("delay", float, DELAY, 0.0)),
             most=each.take("participants", int, PARTICIPANTS, None),
         )
-        known = {find("learner", learners[name].algo).dictionary for name in whom}
-        if arm.cue and len(known) > 1:
+        unsure = [name for name in whom if not find("learner", learners[name].algo).uncertain]
+        if arm.cue and unsure:
+            apart = ", which would tell them apart" if len(unsure) < len(whom) else ""
             raise UserError(
-                f"{each.source('cue')}: not all of these learners know how sure they are, which would tell them apart, "
-                "give learners that do"
+                f"{each.source('cue')}: {', '.join(unsure)} cannot say how sure it is{apart}: give learners "
+                "that can, or no cue"
             )
         if arm.most is not None and within:
             raise UserError(

@@ -197,12 +197,21 @@ class Reception:
                 for each in [code] if code else [one.code for one in self.register if one.step is not None]:
                     await self._stop(each)
             case "delete" if code:
-                if sitting is not None:
-                    await sitting.stop()
-                    await sitting.close()
-                    del self._sittings[code]
+                await self._empty(code)
                 removed = await self.clerk(self.register.delete, code)
                 page.put({"type": "deleted", "code": code, "removed": removed})
+
+    async def _empty(self, code: str) -> None:
+        """Nobody sits there, and nothing of the participant will be written any more."""
+        participant = self.register.get(code)
+        while participant is not None:
+            if (sitting := self._sittings.pop(code, None)) is not None:
+                await sitting.stop()
+                await sitting.close()
+                sitting.page = None  # that it goes is nothing to write down
+            await asyncio.to_thread(self.hall.await_left, participant.folder)
+            if code not in self._sittings:  # nobody came again meanwhile
+                return
 
     async def _stop(self, code: str) -> None:
         sitting, participant = self._sittings.get(code), self.register.get(code)

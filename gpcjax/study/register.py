@@ -77,6 +77,7 @@ class Register:
 
         Raises:
             Refused: the code is none, is not admitted, or all slots are taken.
+            UserError: what is written down of numbers is damaged.
             OSError: nothing can be written.
         """
         self.check(code)
@@ -114,12 +115,30 @@ class Register:
         del self._by_code[code]
         return removed
 
+    def kept_number(self) -> int:
+        """The first number that nobody has had, as far as that is written down.
+
+        Raises:
+            UserError: what is written down is damaged.
+            OSError: it cannot be read.
+        """
+        path = self.out / NUMBERS
+        if not path.exists():
+            return 1
+        try:
+            match json.loads(path.read_bytes()):
+                case {"next": int(number)} if type(number) is int and number > 0:
+                    return number
+        except (ValueError, RecursionError):
+            pass
+        raise UserError(
+            f'{path}: it is damaged, write {{"next": NUMBER}} there, above the numbers of all who ever took part'
+        )
+
     def _next_number(self) -> int:
         """One that nobody has had: not even somebody who was deleted, as seeds follow from it."""
-        path = self.out / NUMBERS
-        kept = json.loads(path.read_bytes())["next"] if path.exists() else 1
-        number = max([kept, *(each.kept.number + 1 for each in self._by_code.values())])
-        write_atomic(path, json.dumps({"next": number + 1}) + "\n")
+        number = max([self.kept_number(), *(each.kept.number + 1 for each in self._by_code.values())])
+        write_atomic(self.out / NUMBERS, json.dumps({"next": number + 1}) + "\n")
         return number
 
 

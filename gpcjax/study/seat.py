@@ -208,7 +208,7 @@ class Seat:
             if press.shown and press.shown < self._first_of_episode:
                 return
             try:
-                self._tell(self._advised(press, taught.advise(press, self.kind.credited)))
+                self._tell(self._advised(press, taught.advise(press)))
             except UserError as error:
                 text = str(error)
                 self._hall.does(lambda: self.problem(text))

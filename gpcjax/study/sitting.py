@@ -103,7 +103,10 @@ class Sitting:
         if self.seat is not None:
             self.seat.pause("connection")
         self._log("gone")
-        await self._reception.clerk(self.participant.save)
+        try:
+            await self._reception.clerk(self.participant.save)
+        except OSError as error:  # the page goes all the same
+            self.problem = str(error)
 
     def tell(self, message: dict[str, Any] | bytes) -> None:
         """Says something to the page, if there is one."""

@@ -1,7 +1,8 @@
 """The learner and the state that a lesson begins with."""
 
-import shutil
 from pathlib import Path
+
+import equinox as eqx
 
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.carried import carried
@@ -37,18 +38,22 @@ def beginning(course: Course, start: Path | None, room: int | None = None) -> tu
 def put(origin: Origin, start: Path, course: Course) -> None:
     """Makes the folder `start` of what a lesson shall begin with.
 
-    Of a run it holds what `gpcjax.save_learner` would have written of the learner of this course at that point.
+    It holds what `gpcjax.save_learner` would have written of the learner of this course at that point: what is taught
+    is what the course says, and has the room of any lesson.
 
     Raises:
-        UserError: what the run had learned is damaged, or means nothing to this learner.
+        UserError: what was learned is damaged, or means nothing to this learner.
     """
     if isinstance(origin, Path):
-        shutil.copytree(origin, start)
-        return
-    source, state = learned_of(origin.folder, "state", origin.row)
+        folder, (source, state) = origin, load_learner(origin)
+        whence = {"saved": folder.name}
+    else:
+        folder, (source, state) = origin.folder, learned_of(origin.folder, "state", origin.row)
+        whence = {"run": folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
     cell = course.cell(1)
     learner = learner_of(cell, DICTIONARY)
-    state = carried(source, state, learner, (DICTIONARY, DICTIONARY), f"--from {origin.folder}")
+    # How the dictionary of another's learner grows is its own affair: an equal one goes on with what it has.
+    if course.algo in built_in("learner") or not eqx.tree_equal(source, learner):
+        state = carried(source, state, learner, (DICTIONARY, DICTIONARY), f"--from {folder}")
     card, arrays = pack_learned(cell, learner, state)
-    run = {"run": origin.folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
-    write_folder(start, {**card, "provenance": {"env": course.env, **run}}, arrays)
+    write_folder(start, {**card, "provenance": {"env": course.env, **whence}}, arrays)

@@ -3,13 +3,17 @@
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gpcjax.allowed import Numbers
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
-from gpcjax.sweep.given import Given, Unchecked
-from gpcjax.sweep.layout import MANIFEST
-from gpcjax.sweep.options import conditions, own_values
+from gpcjax.sweep.given import Given, Unchecked, said
+from gpcjax.sweep.layout import MANIFEST, tell
+from gpcjax.sweep.options import OPTIONS, conditions, own_values
+
+if TYPE_CHECKING:
+    from gpcjax.teach.origin import Origin
 
 SEED = Numbers(0, 2**31 - 1, whole=True)
 REPEAT = Numbers(1, 50)
@@ -24,9 +28,8 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     Raises:
         UserError: a mistake of the person's.
     """
-    from gpcjax.policies.folder import CARD
     from gpcjax.teach.course import COURSE, Course
-    from gpcjax.teach.origin import Origin, of_run
+    from gpcjax.teach.origin import Run
     from gpcjax.teach.run import teach
     from gpcjax.teach.standing import Options
 
@@ -42,25 +45,59 @@ def by_hand(arguments: argparse.Namespace, given: dict[str, Given | Unchecked]) 
     origin: Origin | None = None
     named, where = getattr(arguments, "from"), conditions(arguments.where)
     if named is not None:
-        path = Path(os.path.expanduser(named))
-        if (path / MANIFEST).is_file() and not (path / COURSE).is_file():
-            algo = given["algo"].value[0] if "algo" in given else None
-            origin = of_run(path, algo, own.get("seed"), where)
+        given, origin = _begun_with(Path(os.path.expanduser(named)), given, own.get("seed"), where)
+        if isinstance(origin, Run):
             own["seed"] = origin.seed
-            usual = {"env": Given(origin.env, "--from"), "algo": Given((origin.algo,), "--from")}
-            given = {**usual, **given}
-        elif (path / CARD).is_file():
-            origin = path
-        else:
-            raise UserError(
-                f"--from {path}: nothing was saved there, give OUT/saves/NAME of a folder of gpcjax teach, or a run "
-                "folder with kept states"
-            )
     if where and (origin is None or isinstance(origin, Path)):
         raise UserError("--where: it says which run of a run folder is meant, give that (--from)")
     goes_on = not given and folder is not None and "seed" not in own
     course = None if goes_on else Course.of(given, own.get("seed", 0))
     options = Options(own.get("repeat", 8.0), own.get("speed", 1.0), oracle.value[0] if oracle else None)
-    if oracle is not None and course is not None:
-        check_expert(course.env, options.oracle, "--oracle")
+    taught = course
+    if taught is None and folder is not None and (folder / COURSE).exists():
+        taught = Course.read(folder)
+    if oracle is not None and taught is not None:
+        check_expert(taught.env, options.oracle, "--oracle")
     return teach(folder, course, origin, options, arguments.host or "127.0.0.1", own.get("port"))
+
+
+def _begun_with(
+    path: Path, given: dict[str, Given | Unchecked], seed: int | None, where: dict[str, str]
+) -> tuple[dict[str, Given | Unchecked], "Origin"]:
+    """What a lesson begins with, and the settings: those that were given, else those that were learned with there.
+
+    Raises:
+        UserError: nothing is there, or it is not clear which, or it means nothing to the learner that was given.
+    """
+    from gpcjax.policies.folder import CARD
+    from gpcjax.teach.course import COURSE
+    from gpcjax.teach.origin import of_run
+    from gpcjax.teach.saved import of_saved
+
+    algo, env = given.get("algo"), given.get("env")
+    wanted = algo.value[0] if algo is not None else None
+    if (path / MANIFEST).is_file() and not (path / COURSE).is_file():
+        origin = found = of_run(path, wanted, seed, where)
+        settings = {}
+    elif (path / CARD).is_file():
+        found = of_saved(path, wanted, env.value if env is not None else None)
+        origin, settings = path, found.settings
+    else:
+        raise UserError(
+            f"--from {path}: nothing was saved there, give OUT/saves/NAME of a folder of gpcjax teach, or a run "
+            "folder with kept states"
+        )
+    if env is None and found.env is None:
+        raise UserError(f"--from {path}: it does not say what it learned, give the task (--env)")
+    if env is not None and found.env not in (None, env.value):
+        tell(f"--from {path}: what was learned on {found.env} is taught {env.value} now")
+    rates = {"static_rate", "constant_rate"}  # of which there is one
+    if rates & given.keys():
+        settings = {name: value for name, value in settings.items() if name not in rates}
+    usual: dict[str, Given | Unchecked] = {"algo": Given((found.algo,), "--from")}
+    if found.env is not None:
+        usual["env"] = Given(found.env, "--from")
+    for name, value in settings.items():
+        plain = Unchecked(value, f"--from {path}: {name}", name)
+        usual[name] = said(plain, OPTIONS[name]) if name in OPTIONS else plain
+    return {**usual, **given}, origin

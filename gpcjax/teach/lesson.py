@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from gpcjax.teach.teller import Teller
 
 
+_OF_ANY_LESSON = ("joined", "left", "close", "take")
+"""What is said of pages, and not of what is taught."""
+
+
 class Lesson:
     """One lesson: `submit` what the page says, `say` gets what it is told.
 
@@ -53,6 +57,8 @@ class Lesson:
         self._queue: queue.Queue[Command] = queue.Queue()
         self._locked = contextlib.ExitStack()
         self._teller: Teller | None = None
+        self._frames = 0
+        """That pages were told of, in all lessons: what is said about an earlier one's is known by their numbers."""
         self._over = False
         self.failure: BaseException | None = None
         """What ended it, if anything did."""
@@ -107,10 +113,12 @@ class Lesson:
         self._tell_preparing("compiling the policy")
         self._taught.session.warm_up()
         self._standing.mode, self._standing.paused, self._standing.why = "teach", True, "start"
-        self._teller = Teller(self._taught, self._standing, self._options, self._say)
+        self._teller = Teller(self._taught, self._standing, self._options, self._say, self._frames)
         self._teaching: Teaching = Teaching(self._taught, self._standing, self._teller)
         self._tell_preparing("measuring the expert, and doing nothing")
         self._teller.begin()
+        self._forget_what_was_asked()
+        self._teller.everything()
         gc.collect()
         gc.freeze()  # what was loaded stays: to look through it takes longer than many steps
         self.ready.set()
@@ -129,10 +137,18 @@ class Lesson:
 
     def _end(self) -> None:
         if self._teller is not None:
+            self._frames = self._teller.number
             self._teller.close()
         self._teller = None
         self._locked.close()
         gc.unfreeze()
+
+    def _forget_what_was_asked(self) -> None:
+        """Of what waits it leaves what is no matter of a lesson: the rest was meant for the one before this."""
+        for _ in range(self._queue.qsize()):
+            command = self._queue.get_nowait()  # nobody else takes any
+            if command.type in _OF_ANY_LESSON:
+                self._queue.put(command)
 
     def _turn(self) -> None:
         """Obeys one command, or makes one step, whichever comes first."""
@@ -184,6 +200,7 @@ class Lesson:
     def _anew(self, course: Course, origin: Origin | None) -> None:
         """Ends this lesson and begins another one beside it; if that cannot be, this one goes on."""
         before = self._folder, self._course, self._origin
+        self._tell_preparing("ending the lesson so far")
         self._end()
         self._folder, self._course, self._origin = new_folder(course.env, self._folder), course, origin
         try:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gpcjax.learners.base import Status
+from gpcjax.recording import CUT
 from gpcjax.sweep import machine
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, parse_part
 from gpcjax.sweep.manifest import write_manifest
@@ -46,8 +47,8 @@ def write_rows(
     rows = CellRows(
         cell=cell,
         episode=np.arange(1, count + 1),
-        status=[Status.OK.label] * count,
-        episodes=dict(episodes),
+        status=[Status.OK.label if whole else CUT for whole in episodes["whole"]],
+        episodes={name: values for name, values in episodes.items() if name != "whole"},
         corrections=dict(corrections),
         own=own,
     )

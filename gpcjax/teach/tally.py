@@ -9,6 +9,10 @@ import numpy as np
 from gpcjax.engine.lanes import LOGGED_CORRECTIONS
 from gpcjax.engine.session import Session
 from gpcjax.learners.base import Info, Status
+from gpcjax.teach.credit import Credited
+
+NOW = Credited()
+"""Advice is about the present step."""
 
 
 @dataclass
@@ -40,13 +44,19 @@ class _Advice:
     rate_sum: float
     full: int
     logged: int
-    obs: list[float]
+    obs: list[float] | None
+    """What it was about, if there was such a step."""
 
 
 class Tally:
-    """Hears every event of a session, live or replayed, and counts."""
+    """Hears every event of a session, live or replayed, and counts.
 
-    def __init__(self) -> None:
+    Args:
+        credited: which steps advice is about.
+    """
+
+    def __init__(self, credited: Credited = NOW) -> None:
+        self._credited = credited
         self.finished: list[Episode] = []
         self.present = Episode()
         self._advice: list[_Advice] = []
@@ -92,11 +102,11 @@ class Tally:
         return self._log[-1][1][0] if self._log else None
 
     def places(self) -> list[list[float]]:
-        """The observations at which advice was given that was not taken back."""
-        return [advice.obs for advice in self._advice]
+        """The observations about which advice was given that was not taken back."""
+        return [advice.obs for advice in self._advice if advice.obs is not None]
 
     def measurements(self) -> dict[str, np.ndarray]:
-        """Of the finished episodes, as `gpcjax.engine.lanes.EpisodeRows` has them."""
+        """Of the finished episodes, as `gpcjax.engine.lanes.EpisodeRows` has them; `whole`: the task ended it."""
         done = self.finished
         none = np.zeros(len(done), int)
         return {
@@ -110,6 +120,7 @@ class Tally:
             "full": np.array([each.full for each in done], int),
             "asked": none,  # nobody knows when a person could have advised
             "chance_sum": none.astype(float),
+            "whole": np.array([each.why == "over" for each in done], bool),
         }
 
     def own(self) -> dict[str, np.ndarray]:
@@ -127,6 +138,10 @@ class Tally:
             "outcome": np.array(outcome, bool).reshape(-1, 3),
         }
 
+    def about(self) -> list[float]:
+        """The observation of the present episode that advice is shown to be about now."""
+        return self.present.obs[max(0, len(self.present.obs) - 1 - self._credited.back)]
+
     def _episode(self, index: int) -> Episode:
         return self.finished[index] if index < len(self.finished) else self.present
 
@@ -138,9 +153,12 @@ class Tally:
         learned = (advice != 0) & (rate > 0) & (int(np.asarray(info.status)) == Status.OK)
         values = np.stack([rate, sigma_policy, sigma_human], axis=-1)
         outcome = np.stack([appended, replaced, full], axis=-1)
+        # Before the first step that it may be about nothing is learned, and there is nothing to tell of it.
+        about = self.about() if len(self.present.obs) > self._credited.least else None
         entries = [
             ((session.episode, session.step, dim), tuple(values[dim].tolist()), tuple(outcome[dim].tolist()))
             for dim in np.flatnonzero(advice).tolist()
+            if about is not None
         ]
         self._log += entries
         counted = _Advice(
@@ -149,7 +167,7 @@ class Tally:
             rate_sum=float(rate[learned].sum()),
             full=int(full.sum()),
             logged=len(entries),
-            obs=session.obs.tolist(),
+            obs=about,
         )
         self._advice.append(counted)
         self.present.corrections += counted.corrections

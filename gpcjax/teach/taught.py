@@ -14,7 +14,6 @@ import jax
 import numpy as np
 
 from gpcjax.engine.classroom import Classroom
-from gpcjax.engine.course import ROOMS
 from gpcjax.engine.session import Session
 from gpcjax.envs.registry import make_env
 from gpcjax.errors import ForeignError, UserError
@@ -27,10 +26,12 @@ from gpcjax.registry import built_in, find
 from gpcjax.sweep.build import pack_learned, recipe_of
 from gpcjax.teach.beginning import beginning, put
 from gpcjax.teach.course import COURSE, RECORD, SAVES, START, Course
+from gpcjax.teach.credit import credited
 from gpcjax.teach.evaluation import world_of
 from gpcjax.teach.kept import Kept, plain, replaced
 from gpcjax.teach.origin import Origin
 from gpcjax.teach.protocol import Press
+from gpcjax.teach.sound import check_end, rooms_in
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import Moved, World
 from gpcjax.teach.worlds import Place, Worlds
@@ -94,7 +95,7 @@ class Taught:
             course.write(folder)
             learner, state = beginning(course, start)
             session = Session(learner, state, **settings_of(course), record=folder / RECORD)
-            taught = cls(folder, course, session, world_of(course, pictures=True), Tally())
+            taught = cls(folder, course, session, world_of(course, pictures=True), Tally(credited(course)))
             taught.begin_episode()
         except BaseException:  # what never began is no lesson to go on with
             shutil.rmtree(folder / START, ignore_errors=True)
@@ -120,9 +121,9 @@ class Taught:
             UserError: it is damaged, or the same events lead elsewhere here; the message names the step.
         """
         course = Course.read(folder)
-        record, tally = folder / RECORD, Tally()
+        record, tally = folder / RECORD, Tally(credited(course))
         first, events = Recording.read(record)
-        rooms = first["settings"].get(ROOMS)
+        rooms = rooms_in(record, first["settings"])
         classroom = None
         if rooms is None:
             world = world_of(course, pictures=not whole)
@@ -136,6 +137,7 @@ class Taught:
 
         def told(session: Session, event: Mapping[str, Any], outcome: Any) -> None:
             progress.tell()
+            check_end(record, session, event, len(tally.finished))
             if event["event"] == "propose" and (whole or event["episode"] == last):
                 taught._follow(session, event["obs"])
             if whole and event["event"] == "note":
@@ -250,8 +252,8 @@ class Taught:
         self.tally.hear(self.session, {"event": "note", "values": values}, None)
         return present
 
-    def advise(self, press: Press, credited: int) -> Advised:
-        """Learns from a key; `credited` is how many steps ago what it is about was, as far as one step can be named.
+    def advise(self, press: Press) -> Advised:
+        """Learns from a key.
 
         Raises:
             UserError: it cannot be written down; nothing was learned then.
@@ -259,7 +261,7 @@ class Taught:
         size = self.session.learner.action_size
         advice = np.zeros(size)
         advice[press.dim] = press.h
-        about = self.present.obs[max(0, len(self.present.obs) - 1 - credited)]
+        about = self.tally.about()
         self.session.note(press=list(press))
         done = self.session.advise_about(advice, about)
         self.tally.hear(self.session, {"event": "advise", "advice": advice.astype(int).tolist()}, done.info)
@@ -290,7 +292,7 @@ class Taught:
         """
         session, place = self.session, self.folder / SAVES / name
         if self.course.algo in built_in("learner"):
-            replaced(place, session.save)
+            replaced(place, lambda path: session.save(path, env=self.course.env))
             return
         cell = self.course.cell(1)
         check_recipe(recipe_of(cell), f"save {name}")

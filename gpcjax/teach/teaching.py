@@ -5,7 +5,6 @@ code, or cannot be written, rests the lesson and is told.
 """
 
 import contextlib
-import math
 import time
 from collections.abc import Iterator
 
@@ -34,7 +33,7 @@ class Teaching:
     def __init__(self, taught: Taught, standing: Standing, tell: Teller):
         self._taught, self._standing, self._tell = taught, standing, tell
         self._seconds = seconds_of(tell.task)
-        self._first_of_episode, self._due = 0, 0.0
+        self._first_of_episode, self._due = tell.number + 1, 0.0
         self._evaluation: Evaluation | None = None
 
     @property
@@ -132,14 +131,14 @@ class Teaching:
         standing = self._standing
         if standing.mode != "teach" or press.dim >= self._taught.session.learner.action_size:
             return
+        if press.shown and press.shown < self._first_of_episode:
+            return  # it was about an episode that is over, or another lesson
         if standing.paused and standing.why in ("start", "connection"):
             self._go_on()
-        if press.shown and press.shown < self._first_of_episode:
-            return  # it was about an episode that is over
         with self._resting_on_problems():
             if self._catch_up():
                 return  # so is the episode that it was about
-            self._tell.advised(press, self._taught.advise(press, self._credited()))
+            self._tell.advised(press, self._taught.advise(press))
 
     def _catch_up(self) -> bool:
         """Writes down and shows what could not be written before; whether an episode ended with it."""
@@ -149,11 +148,6 @@ class Teaching:
         self._told(ended)
         self._tell.frame(None)
         return ended is not None
-
-    def _credited(self) -> int:
-        """How many steps back the step is that an advice is shown to be about."""
-        seconds = dict(self._taught.course.settings).get("credit", 0.0)
-        return math.floor(seconds / self._tell.task.seconds + 0.5)
 
     def _undo(self) -> None:
         if self._standing.mode != "teach":

@@ -50,13 +50,14 @@ class Teller:
         standing: how it stands; the lesson changes it.
         options: how it is held.
         say: takes the messages.
+        frames: how many there were before, of other lessons.
     """
 
-    def __init__(self, taught: Taught, standing: Standing, options: Options, say: Say):
+    def __init__(self, taught: Taught, standing: Standing, options: Options, say: Say, frames: int = 0):
         self._taught, self._standing, self._options, self._say_raw = taught, standing, options, say
         session = taught.session
         self.task = find("task", taught.course.env)
-        self.number = 0
+        self.number = frames
         """Of the latest frame."""
         self._sigma: list[float] | None = None
         prior = float(session.learner.largest_sigma())
@@ -71,7 +72,7 @@ class Teller:
         self._closed = False
 
     def begin(self) -> None:
-        """Compiles and measures what is told, before anybody waits for a step; then tells everything."""
+        """Compiles and measures what is told, before anybody waits for a step."""
         self._clerk = Clerk()
         self._draw_chart()
         if self._pictures:
@@ -80,7 +81,6 @@ class Teller:
             self._measure_lines()
         except Exception as error:  # of a task or an expert of a person's own: it is taught without
             self.problem(f"the lines of the expert and of doing nothing are missing: {_words(error)}")
-        self.everything()
 
     def close(self) -> None:
         """Has written what there is; what nobody wants any more is left."""

@@ -53,6 +53,11 @@ class World:
         """Numbers of an observation, and of an action."""
         return self._env.obs_size, self._env.action_size
 
+    @property
+    def max_steps(self) -> float:
+        """Of an episode; infinite where only the task knows."""
+        return getattr(self._env, "max_steps", None) or math.inf
+
     def begin(self, episode: int) -> Float[np.ndarray, " obs"]:
         """The first observation of this episode, from 0.
 

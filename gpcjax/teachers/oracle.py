@@ -211,7 +211,7 @@ class Advisor(ByIdentity):
         Raises:
             ValueError: a shape does not fit, the action is beyond [-1, 1] (its value is not known where jax traces it:
                 clip it there), what is given is no number, `key` is no random key, or active learning needs
-                `sigma_human`, from `Learner.uncertainty`.
+                `sigma_human`, from `Learner.uncertainty`, of a learner that knows it: numbers of at least 0.
         """
         if not _is_key(key):
             raise UserError(f"key {shown(key)}: give a random key, from jax.random.key or jax.random.split")
@@ -222,6 +222,11 @@ class Advisor(ByIdentity):
             if self.oracle.active:
                 raise UserError("this oracle learns actively: give sigma_human, from learner.uncertainty")
             sigma_human = jnp.zeros_like(action)
+        sigma_human = self._of_actions("sigma_human", sigma_human)
+        if self.oracle.active:
+            _finite("sigma_human", sigma_human)
+            if not is_traced(sigma_human) and (np.asarray(sigma_human) < 0.0).any():
+                raise UserError(f"sigma_human {shown(sigma_human.tolist())}: give numbers of at least 0")
         coins = jax.random.uniform(key, action.shape)
         moment = Moment(
             obs=obs,
@@ -229,7 +234,7 @@ class Advisor(ByIdentity):
             episode=jnp.int32(0),
             step=jnp.int32(0),
             target=self.target(obs),
-            sigma_human=self._of_actions("sigma_human", sigma_human),
+            sigma_human=sigma_human,
         )
         return self.oracle.advise(coins, moment)
 
@@ -248,5 +253,6 @@ def _is_key(key: Any) -> bool:
     """Whether it is one random key, of jax's own type or as an array of its words."""
     kind = getattr(key, "dtype", None)
     if kind is None or not jnp.issubdtype(kind, jax.dtypes.prng_key):
-        return kind == np.uint32 and np.ndim(key) == 1
+        words = jax.eval_shape(lambda: jax.random.PRNGKey(0)).shape
+        return kind == np.uint32 and np.shape(key) == words
     return key.shape == ()

@@ -148,9 +148,11 @@ def test_places(tmp_path):
 def test_an_action_that_is_no_number_stops_one_alone(tmp_path):
     school = School(tmp_path, "coach", PLAIN, places=8, count=2)
     good, bad = school.sessions
-    raised = propose_together([good, bad], np.array([[0.1, 0.1], [np.nan, 0.0]]))
-    assert raised[0] is None and "is no number" in str(raised[1])
-    assert (good.step, bad.step) == (0, -1)
+    for value in (np.nan, np.inf):
+        raised = propose_together([good, bad], np.array([[1e200, 0.1], [value, 0.0]]))
+        assert raised[0] is None and "is no number" in str(raised[1])
+    assert (good.step, bad.step) == (1, -1)
+    np.testing.assert_array_equal(good.obs, [1e60, 0.1])
 
 
 def test_what_is_no_list_of_rooms_is_refused(school, tmp_path):

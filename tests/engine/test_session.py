@@ -353,6 +353,23 @@ def test_an_action_that_is_no_number(coach):
     assert session.step == -1
 
 
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+def test_far_out_it_is_what_its_learner_and_its_policy_are(algo):
+    """Where squares would be infinite: it acts, proposes, learns and knows its uncertainty."""
+    learner = gpcjax.make_learner(algo, obs_size=2, action_size=1, capacity=8)
+    state, _ = learner.correct(learner.init(), PLACE, [0.0], [1])
+    session, far = Session(learner, state), [1e200, -0.2]
+    for act in (session.act, session.propose, lambda obs: session.act_at(np.array([obs]).T)[:, 0]):
+        np.testing.assert_array_equal(act(far), learner.act(state, far))
+    np.testing.assert_array_equal(session.policy()(far), learner.act(state, far))
+    np.testing.assert_array_equal(session.uncertainty(), learner.uncertainty(state, far, [0.0]))
+    info = session.advise(1)
+    state, expected = learner.correct(state, far, [0.0], [1])
+    assert info.status == expected.status == 0 and info.rate == expected.rate > 0
+    assert session.act(far) == learner.act(state, far) > 0
+    np.testing.assert_array_equal(session.obs, [1e60, -0.2])
+
+
 def test_a_strangers_learner(monkeypatch):
     monkeypatch.syspath_prepend("tests/foreign")
     import drifting

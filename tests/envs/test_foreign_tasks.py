@@ -13,6 +13,7 @@ from gpcjax import registry
 from gpcjax.engine.evaluate import evaluate
 from gpcjax.envs import base
 from gpcjax.envs.cartpole import CartPole
+from gpcjax.envs.views import check_view
 from gpcjax.errors import ForeignError, UserError
 
 STILL = {"terminated": jnp.array(False), "truncated": jnp.array(False)}
@@ -210,6 +211,50 @@ def test_gymnasium_is_simulated_as_it_was_made(found, values, size, steps):
 def test_refused(found, message):
     with pytest.raises(UserError, match=f"^{message}"):
         OF(found)
+
+
+@pytest.mark.parametrize(
+    ("view", "message"),
+    [
+        (
+            {"observed": (("place", -2, 2),)},
+            "its view names 1 numbers of an observation, its task has 2: give all",
+        ),
+        ({"observed": (("place", -2, 2), ("speed", 2, 2))}, "observed speed: 2 must be below 2"),
+        (
+            {"observed": (("place", -2, 2), ("speed", -2, float("inf")))},
+            "observed speed inf: give a finite number",
+        ),
+        ({"observed": ("place", "speed")}, "observed 'place': give a name, the lowest and the highest value"),
+        (
+            {"controls": (gpcjax.Control(("left", "l"), ("right", "r")),) * 2},
+            "its view has 2 controls, an action of",
+        ),
+        ({"controls": (gpcjax.Control(("a", "l"), ("right", "r")),)}, "controls Control"),
+        ({"scene": "cartpole"}, "scene 'cartpole': give none, or the one of its 2 numbers: cartpole [(]4"),
+        ({"scene": "lander"}, "scene 'lander': give none"),
+        ({"axes": (0, -1)}, "axes [(]0, -1[)]: give the places of two numbers"),
+        ({"hint": 3}, "hint 3: give a sentence"),
+    ],
+)
+def test_a_view_that_does_not_fit_is_refused_once(view, message):
+    """Before anybody teaches, plays or draws it."""
+    with pytest.raises(UserError, match=f"^env mine:It: {message}"):
+        OF(gpcjax.TaskSpec(name="it", make=Slide, view=gpcjax.View(**view)))
+
+
+def test_a_view_that_fits():
+    view = gpcjax.View(
+        (("place", -2, np.float32(2)), ("speed", -1, 1)), (gpcjax.Control(("left", "less"), ("right", "more")),),
+        "mountaincar", axes=(0, 7), hint="Go.",
+    )  # fmt: skip
+    assert OF(gpcjax.TaskSpec(name="it", make=Slide, view=view)).view == view
+
+
+def test_views_of_the_built_in_tasks_fit():
+    for name in registry.built_in("task"):
+        spec = registry.find("task", name)
+        check_view(name, spec.view, spec.sizes)
 
 
 @pytest.mark.parametrize("found", [Broken, gpcjax.TaskSpec(name="it", make=Broken), lambda: Broken()])

@@ -4,7 +4,9 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 import weakref
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -14,8 +16,11 @@ import pytest
 import threadpoolctl
 
 import gpcjax
+from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
+from gpcjax.learners import calls
 from gpcjax.learners.base import Status
+from gpcjax.learners.compiled import act
 from gpcjax.learners.factory import make_learner
 from tests.trees import assert_same_bits
 
@@ -122,6 +127,36 @@ def test_what_is_given_away_is_learned_from_alike_and_gone(algo, capfd):
     )
 
 
+@pytest.mark.parametrize("algo", ["gpc", "own"])
+def test_what_is_given_away_is_refused_by_all_that_take_a_state(algo, tmp_path):
+    learner = (
+        Linear(obs_size=2, action_size=1)
+        if algo == "own"
+        else make_learner(algo, obs_size=2, action_size=1, capacity=4)
+    )
+    given = learner.init()
+    state, _ = learner.correct(given, np.zeros(2), [0.0], [1], donate=True)
+    uses = [
+        lambda: learner.policy_of(given),
+        lambda: learner.uncertainty(given, [0, 0], [0]),
+        lambda: learner.warm_up(given),
+        lambda: gpcjax.Session(learner, given),
+        lambda: gpcjax.save_learner(tmp_path / "learner", learner, given),
+        lambda: gpcjax.save_policy(tmp_path / "policy", learner, given),
+    ]
+    if algo == "gpc":
+        uses += [
+            lambda: learner.grow(given),
+            lambda: learner.resize(given, 8, 8),
+            lambda: learner.points(given),
+            lambda: learner.has_room(given),
+        ]
+    for use in uses:
+        with pytest.raises(ValueError, match=r"^state: it was given away \(donate\), use the one that came"):
+            use()
+    assert learner.policy_of(state) and not list(tmp_path.iterdir())
+
+
 def test_an_array_that_is_there_twice_is_not_given_away():
     learner = make_learner("coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=(3,))
     start = learner.init()
@@ -156,6 +191,50 @@ def test_after_warming_up_nothing_is_compiled():
             state, _ = teach(learner, state, 1, donate=True)
         state, infos = teach(learner, learner.grow(state), 1, donate=True)
     assert not after and infos[0].appended.all()
+
+
+def test_a_state_may_be_given_away_while_larger_ones_are_compiled(monkeypatch):
+    learner = make_learner("gpc", obs_size=2, action_size=1, capacity=3)
+    given, raised, ahead = threading.Event(), [], type(learner)._warm_up_larger
+
+    def later(*arguments):
+        try:
+            assert given.wait(60)
+            ahead(*arguments)
+        except Exception as error:
+            raised.append(error)
+
+    monkeypatch.setattr(type(learner), "_warm_up_larger", later)
+    state = learner.init()
+    thread = learner.warm_up(state, donate=True)
+    state, _ = learner.correct(state, [0.1, 0.2], [0.0], [1], donate=True)
+    given.set()
+    thread.join()
+    assert not raised
+    with compilations() as after:
+        learner.correct(learner.grow(state), [0.3, 0.2], [0.0], [1], donate=True)
+    assert not after
+
+
+def test_programs_of_functions_made_anew_do_not_pile_up(monkeypatch):
+    class Shaped(Linear):
+        shape: Callable = jnp.tanh
+
+        def propose(self, state, obs):
+            return self.shape(state @ obs)
+
+    monkeypatch.setattr(calls, "KEPT", 3)
+    monkeypatch.setattr(act, "_programs", type(act._programs)())
+    made = [Shaped(**SIZES, shape=lambda x, gain=gain: gain * x) for gain in (0.1, 0.2, 0.3, 0.4, 0.5)]
+    learners = [fixed(each) for each in made]
+    state, obs = np.ones((2, 3)), np.ones(3)
+    for learner, gain in zip(learners, (0.1, 0.2, 0.3, 0.4, 0.5), strict=True):
+        learners[0].act(state, obs)  # called in between: it stays
+        np.testing.assert_allclose(learner.act(state, obs), np.full(2, min(1.0, 3 * gain)))
+        assert len(act._programs) <= 3
+    with compilations() as after:
+        learners[0].act(state, obs)
+    assert not after
 
 
 def test_warming_up_learns_nothing_and_needs_no_room_to_grow():
@@ -321,6 +400,52 @@ def test_what_learning_gives_is_looked_at(own):
         learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
     with pytest.raises(ValueError, match=rf"^{own.__name__}.learn does not fit \("):
         gpcjax.Session(learner)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        (
+            "status",
+            np.zeros(2, np.int32),
+            r"Info.status is int32 of shape \(2,\), it should be one whole number",
+        ),
+        ("status", np.float64(0.5), r"Info.status is float64 of shape \(\)"),
+        ("status", None, "Info.status is None"),
+        (
+            "appended",
+            np.zeros(7, bool),
+            r"Info.appended is bool of shape \(7,\), it should be bool of shape \(2,\)",
+        ),
+        ("replaced", np.zeros(2), "Info.replaced is float64"),
+        ("full", np.bool_(False), r"Info.full is bool of shape \(\)"),
+        ("sigma_policy", np.zeros(1), r"Info.sigma_policy is float64 of shape \(1,\)"),
+        ("sigma_human", None, "Info.sigma_human is None"),
+    ],
+)
+def test_every_part_of_an_info_is_looked_at(field, value, told):
+    class Odd(Linear):
+        def learn(self, state, moment, advice, key):
+            new, info = super().learn(state, moment, advice, key)
+            return new, eqx.tree_at(lambda info: getattr(info, field), info, value)
+
+    learner = Odd(**SIZES)
+    with pytest.raises(ValueError, match=rf"^Odd.learn does not fit \({told}"):
+        learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
+    with pytest.raises(ValueError, match=r"^Odd.learn does not fit"):
+        gpcjax.Session(learner)
+
+
+@pytest.mark.parametrize("status", [0, gpcjax.Status.OK, np.int64(0)])
+def test_an_info_of_pythons_numbers(status):
+    class Plain(Linear):
+        def learn(self, state, moment, advice, key):
+            new, _ = super().learn(state, moment, advice, key)
+            return new, eqx.tree_at(lambda info: info.status, gpcjax.Info.of([0.1] * 2), status)
+
+    learner = Plain(**SIZES)
+    _, info = learner.correct(learner.init(), np.ones(3), np.zeros(2), [1, 0])
+    assert info.rate.tolist() == [0.1, 0.0] and info.status.dtype == np.int32
 
 
 def test_an_action_of_another_size():

@@ -196,13 +196,16 @@ def test_an_advice_of_zero_is_one_to_take_back(session):
 
 def test_an_oracle_is_given_numbers_and_a_key():
     oracle, key = gpcjax.make_oracle("cartpole", rate=1.0), jax.random.key(0)
-    for given in (0, None, jax.random.split(key, 2), np.zeros(2)):
+    others = [np.zeros(size, np.uint32) for size in (0, 1, 4, 5)]  # of old-style keys' type
+    for given in (0, None, jax.random.split(key, 2), np.zeros(2), *others):
         with pytest.raises(ValueError, match=r"^key .*: give a random key, from jax.random.key"):
             oracle.advise(given, np.zeros(4), [0.0])
     with pytest.raises(ValueError, match=r"^obs .*: each entry must be finite"):
         oracle.advise(key, [np.nan, 0, 0, 0], [0.0])
     with pytest.raises(ValueError, match=r"^action .*: each entry must be finite"):
         oracle.advise(key, np.zeros(4), [np.nan])
+    old = jax.random.key_data(key)
+    assert oracle.advise(old, np.zeros(4), [0.0]) == oracle.advise(key, np.zeros(4), [0.0])
     # COACH does not know how uncertain it is.
     oracle.advise(key, np.zeros(4), [0.0], sigma_human=[np.nan])
     assert jax.jit(oracle.advise)(key, jnp.zeros(4), jnp.zeros(1)).shape == (1,)

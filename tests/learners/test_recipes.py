@@ -15,6 +15,7 @@ import pytest
 
 import gpcjax
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.learners.carried import carried
 from gpcjax.learners.descriptions import LEARNERS
 from gpcjax.learners.packed import unpack_learner
@@ -141,10 +142,25 @@ class Wide(Counting):
     units: int = 2
     share: float = eqx.field(default=0.5, static=True)
     activation: Callable = jnp.tanh
+    squash: bool = True
+    kind: str = "wide"
+    note: str | None = "kept"
 
     def init(self, key=None):
         state = super().init(jax.random.key(0) if key is None else key)
         return {**state, "more": jnp.full(self.units, self.share)}
+
+
+OTHERS = {"units": 3, "share": 0.25, "squash": False, "kind": "narrow", "note": None}
+
+
+@pytest.mark.parametrize("made", [fixed, lambda learner: learner], ids=["fixed", "as its class makes it"])
+def test_what_is_compiled_in_comes_back(made, tmp_path):
+    """Whole numbers, truth values and texts, whoever has made the learner."""
+    learner = made(Wide(obs_size=2, action_size=1, **OTHERS))
+    gpcjax.save_learner(tmp_path / "saved", learner, learner.init())
+    again, _ = gpcjax.load_learner(tmp_path / "saved")
+    assert {name: getattr(again, name) for name in OTHERS} == OTHERS
 
 
 GO_ON = """
@@ -160,7 +176,7 @@ print(repr(float(gpcjax.load_policy(sys.argv[3])([0.3, 0.01])[0])))
 
 def test_the_public_functions_save_it_too(tmp_path):
     """A session of it goes on in another process, to the bit; its policy is loaded there."""
-    learner = gpcjax.make_learner(f"{HERE}:Wide", "mountaincar", units=3, share=0.25)
+    learner = gpcjax.make_learner(f"{HERE}:Wide", "mountaincar", **OTHERS)
     session = gpcjax.Session(learner)
     for obs in ([0.5, 0.1], [-0.3, 0.0]):
         session.propose(obs)
@@ -188,7 +204,11 @@ def test_what_cannot_be_saved_is_refused(tmp_path):
     within = type("Within", (Counting,), {"__qualname__": "made.<locals>.Within"})(obs_size=2, action_size=1)
     usual = Counting(obs_size=2, action_size=1)
     for learner, state, message in (
-        (odd, odd.init(), "cannot be saved: give a learner as make_learner makes it"),
+        (
+            odd,
+            odd.init(),
+            r"cannot be saved: .* \(activation is another function than its class has: write a",
+        ),
         (within, begun(within, 0), "its class is defined within a function"),
         (usual, {**begun(usual, 0), "count": np.zeros(2)}, "cannot be saved: give a learner"),
         (usual, {"key": jax.random.key(0)}, r"cannot be kept, as its state\['key'\] is no array of numbers"),

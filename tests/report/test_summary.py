@@ -1,10 +1,14 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from gpcjax.errors import UserError
+from gpcjax.report.compare_notes import uncounted
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
+from gpcjax.report.tables import warnings
 from tests.report import synthetic
 
 
@@ -53,6 +57,35 @@ def test_differences_are_paired_and_first_minus_second(cartpole):
     row = table[(table["error"] == 0) & (table["second"] == "coach")].iloc[0]
     assert row["area_difference"] == pytest.approx((area["gpc"] - area["coach"]).mean())
     assert row["excludes_zero"] and row["area_difference_lower"] > 0
+
+
+def test_an_episode_that_was_cut_is_in_no_number():
+    """Those that are left count as if it had never been, in each run for itself."""
+    frame = synthetic.episodes().query("algo == 'coach' and error == 0").sample(frac=1, random_state=2)
+    last = frame["episode"].max()
+    without = summary_of(frame[frame["episode"] < last - 1])
+    cut = frame.copy()
+    # The same returns, with one in the middle and the last one cut, and that in the middle elsewhere in each run.
+    cut["episode"] = frame["episode"].where(frame["episode"] <= frame["seed"], frame["episode"] + 1)
+    cut = cut[cut["episode"] < last]
+    first = frame[frame["episode"] == 1]
+    spoilt = first.assign(status="cut", **{"return": 1e9, "episode": first["seed"] + 1})
+    end = first.assign(status="cut", **{"return": -1e9, "episode": last})
+    summary = summary_of(pd.concat([cut, spoilt, end]))
+    assert summary.study.cut == 24 and summary.study.episodes == last - 2
+    for name in ("returns", "corrections"):
+        left, as_if = (getattr(each.study.groups[0], name) for each in (summary, without))
+        np.testing.assert_array_equal(left, as_if)
+    sentence = "24 episodes that were ended before the task did (by a person, a limit of time, or a failure)"
+    assert f"{sentence} are in no number below." in warnings(summary)
+    folder = SimpleNamespace(name="first", study=summary.study)
+    assert uncounted([folder]) == [f"first: {sentence}, in no number."]
+
+
+def test_a_lesson_of_which_no_episode_is_whole_says_so():
+    frame = synthetic.episodes().query("algo == 'coach' and error == 0").assign(status="cut")
+    with pytest.raises(UserError, match="each of its episodes was ended before the task did"):
+        summary_of(frame)
 
 
 def test_order_of_the_rows_of_a_store_does_not_count(cartpole):

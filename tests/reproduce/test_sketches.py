@@ -218,6 +218,20 @@ def test_what_the_scan_cannot_show_is_marked():
     assert "A small cross low in the panel" in drawing.caption
 
 
+def test_no_number_of_the_scan_is_hidden_or_cut():
+    record = erroneous()
+    record.scanned_samples[:] = 2.0  # all lines are the same
+    record.scanned_samples[0, 1] = 11.0
+    drawing = sketched_errors.erroneous(record)
+    for i, axis in enumerate((drawing.figure.axes[2], drawing.figure.axes[5])):
+        lines = [line for line in axis.lines if line.get_marker() in ("o", "s", "D")]
+        drawn = np.array([line.get_ydata() for line in lines])
+        assert (np.diff(drawn, axis=0) < -0.1).all()
+        np.testing.assert_array_equal(drawn.round(), record.scanned_samples[i].T)
+        assert axis.get_ylim()[1] > 11.5
+    assert "drawn a little apart" in drawing.caption
+
+
 def test_lines_upon_each_other_differ_in_their_dashes():
     _, panels, _ = drawn("erroneous")
     for panel in (panels[0], panels[1]):

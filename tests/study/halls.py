@@ -91,6 +91,10 @@ class FakeSeat:
 class FakeHall:
     def __init__(self, places=64):
         self.places, self.seats, self.lock = places, [], threading.Lock()
+        self.awaited = []
+
+    def await_left(self, folder):
+        self.awaited.append((folder, folder.exists(), [each.left for each in self.seats]))
 
     def seat(self, run, say):
         with self.lock:

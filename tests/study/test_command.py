@@ -52,6 +52,13 @@ def test_an_address_without_tls_is_refused_before_it_begins(said, tmp_path):
     assert status == 2 and "--address 'http://a.org': give https://HOST" in err
 
 
+def test_damaged_numbers_are_told_before_anybody_comes(said, tmp_path):
+    out, _ = study_with(tmp_path)
+    (out / "numbers.json").write_text("{")
+    status, _, err = said("--out", out)
+    assert status == 2 and "numbers.json: it is damaged" in err and err.count("\n") == 1
+
+
 def test_where_everybody_is(said, tmp_path):
     out, study = study_with(tmp_path)
     assert "nobody has come yet" in said("status", out)[1]

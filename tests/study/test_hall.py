@@ -184,6 +184,32 @@ def test_limits_of_time(hall, tmp_path):
     assert len(replayed(page.run.folder).tally.finished) == 3
 
 
+def test_nothing_of_a_run_is_written_after_it_was_awaited(hall, tmp_path, monkeypatch):
+    """As who is deleted asks for: what a hall writes when a run is left would make its folder anew."""
+    page = Page(hall, tmp_path / "p0001" / "runs" / "1").goes()
+    page.press(1)
+    page.wait("advised")
+    page.wait("episode")
+    write, wrote = hall._clerk.write, []
+
+    release = threading.Event()
+
+    def held_back(kept):
+        assert release.wait(60)
+        write(kept)
+        wrote.append(kept.folder)
+
+    monkeypatch.setattr(hall._clerk, "write", held_back)
+    page.seat.leave()
+    hall.await_left(tmp_path / "p0002")
+    waiting = threading.Thread(target=hall.await_left, args=(tmp_path / "p0001",))
+    waiting.start()
+    assert not wrote
+    release.set()
+    waiting.join(60)
+    assert page.seat.gone.is_set() and wrote[-1] == page.seat.run.folder
+
+
 def test_it_goes_on_where_it_was_left(hall, tmp_path):
     """Also within an episode, beyond the growth of a dictionary: as one that nobody interrupted."""
     folder = tmp_path / "left"

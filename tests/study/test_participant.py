@@ -143,6 +143,18 @@ def test_deleted_everywhere_and_the_number_is_never_given_again(register):
         register.delete("zz")
 
 
+@pytest.mark.parametrize("content", ["", "[]", '{"next": "3"}', '{"next": true}', '{"next": 0}'])
+def test_damaged_numbers_are_told_and_given_to_nobody(register, content):
+    register.admit("one")
+    file = register.out / "numbers.json"
+    file.write_text(content)
+    for ask in (register.kept_number, lambda: register.admit("two")):
+        with pytest.raises(UserError, match=r"numbers\.json: it is damaged, write"):
+            ask()
+    assert register.get("two") is None
+    register.delete("one")  # which needs none
+
+
 def test_a_deletion_that_was_killed_is_finished(register):
     one = register.admit("a1")
     one.folder.rename(one.folder.with_name(f".deleted-{one.folder.name}"))

@@ -598,10 +598,34 @@ def test_a_participant_is_deleted_while_it_runs(running):
     look = running.looks()
     look.says("delete", code="alpha")
     assert "p0001" in look.until("deleted")["removed"][0]
-    assert "gone" in [page.closed()["type"]]
+    with pytest.raises(ConnectionClosed) as closed:
+        while True:
+            page.hears()
+    # That it goes could not be written any more, and what the hall writes when it is left comes before.
+    assert page.told[-1]["type"] == "gone" and closed.value.rcvd.code == 1000
+    assert [(folder.name, *rest) for folder, *rest in running.hall.awaited] == [("p0001", True, [])]
     assert not any(running.out.glob("participants/p*")) and look.until("people")["rows"] == []
     look.says("delete", code="alpha")
     assert "nobody" in look.until("problem")["text"]
+
+
+def test_a_page_goes_though_that_cannot_be_written(running, monkeypatch):
+    page = running.client()
+    page.to_first_run()
+
+    def full(participant):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gpcjax.study.participant.Participant.save", full)
+    other = running.client(take=True)
+    other.until("frame")
+    with pytest.raises(ConnectionClosed) as closed:
+        while True:
+            page.hears()
+    assert closed.value.rcvd.code == 1000
+    other.close()
+    look = running.looks()
+    assert any("No space" in look.until("people")["rows"][0]["problem"] for _ in range(20))
 
 
 def test_the_download_has_all_but_the_token(running):

@@ -32,6 +32,7 @@ def write_run(participant, run, returns):
         "returns": np.asarray(returns, float),
         "rate_sum": np.full(count, 0.3),
         "chance_sum": np.zeros(count),
+        "whole": np.ones(count, bool),
     }
     log = {
         "moments": np.zeros((1, 3), int),

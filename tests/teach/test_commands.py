@@ -78,6 +78,11 @@ def test_a_mistake_is_said_in_one_line(capsys, words, said):
     assert said in fails(capsys, "teach", *words)
 
 
+def test_an_oracle_is_checked_for_a_lesson_that_goes_on_too(capsys, tmp_path):
+    Course("pendulum", "gpc").write(tmp_path)
+    assert "--oracle 'nobody': give" in fails(capsys, "teach", "--out", str(tmp_path), "--oracle", "nobody")
+
+
 def test_a_port_in_use(capsys, here):
     with contextlib.closing(bound("127.0.0.1", 0, 1)) as taken:
         number = str(taken.getsockname()[1])

@@ -1,16 +1,22 @@
-"""Lessons that begin with what a run of a sweep had learned."""
+"""Lessons that begin with what a run of a sweep had learned, or a learner that was saved."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import gpcjax
 from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
+from gpcjax.policies.folder import read_arrays, read_card, write_folder
+from gpcjax.registry import built_in
 from gpcjax.sweep.run import sweep
-from gpcjax.teach.course import START, Course
+from gpcjax.teach.course import COURSE, SAVES, START, Course
 from gpcjax.teach.origin import of_run
+from gpcjax.teach.protocol import Press
+from gpcjax.teach.saved import of_saved
 from gpcjax.teach.taught import Taught
 from tests.sweep.learned import Learned
 
@@ -54,7 +60,7 @@ def test_it_goes_on_with_the_newest_state_of_the_run(folder, tmp_path):
     assert float(taught.session.act(OBS)[0]) < 0 and float(acted("gpc", 1)) > 0
     # Another process goes on from the folder alone.
     assert (tmp_path / START / "card.json").is_file()
-    taught.session.end_episode()
+    taught.close("reset")
     again = Taught.resume(tmp_path, print)
     np.testing.assert_array_equal(again.session.act(OBS), taught.session.act(OBS))
 
@@ -113,3 +119,137 @@ def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
         tmp_path / "lesson", Course("mountaincar", names["algo"]), of_run(out, None, None, {})
     )
     np.testing.assert_allclose(taught.session.act(OBS), OBS @ [1.0, 2.0])
+
+
+# --- with a saved learner
+
+
+@pytest.fixture
+def course_of(monkeypatch, tmp_path):
+    """What would be taught with these words, and what with."""
+    monkeypatch.chdir(tmp_path)
+    taught = []
+    monkeypatch.setattr("gpcjax.teach.run.teach", lambda *given: taught.append(given[1:3]) or 0)
+
+    def asked(*words):
+        assert cli.main(["teach", *words]) == 0
+        return taught[-1]
+
+    return asked
+
+
+def saved(path, algo, env, told=True, **options):
+    learner = make_learner(algo, env, **options)
+    size = learner.action_size
+    state, _ = learner.correct(learner.init(), np.ones(learner.obs_size), np.zeros(size), np.ones(size))
+    gpcjax.save_learner(path, learner, state, **({"env": env} if told else {}))
+    return learner, state
+
+
+def test_the_learner_that_was_saved_is_taught_by_its_name_with_its_settings(course_of, tmp_path):
+    saved("kept", "gpc", "pendulum", policy_length_scale=3.0, static_rate=0.5, on_full="error", capacity=8)
+    course, origin = course_of("--from", "kept")
+    assert (course.env, course.algo) == ("pendulum", "gpc")
+    assert dict(course.settings) == {"policy_length_scale": 3.0, "static_rate": 0.5}
+    (tmp_path / "out").mkdir()
+    taught = Taught.begin(tmp_path / "out", course, origin)
+    learner, state = taught.session.learner, taught.session.state
+    assert float(learner.policy.kernel.length_scale) == 3.0 and float(learner.static_rate) == 0.5
+    # Room, and what becomes of a full dictionary, are those of any lesson.
+    assert learner.on_full == "replace-nearest" and state.policy.points.shape[1] == 64
+    assert int(state.policy.count[0]) == 1
+    taught.step()
+    taught.end("over")
+    taught.keep()()
+    told = json.loads((tmp_path / "out" / "manifest.json").read_bytes())["specification"]
+    assert told["hyperparameters"] == {"policy_length_scale": [3.0], "static_rate": [0.5]}
+    again = Taught.resume(tmp_path / "out", lambda line: None, whole=True)
+    np.testing.assert_array_equal(again.session.act(np.ones(3)), taught.session.act(np.ones(3)))
+
+
+def test_what_is_given_beside_counts(course_of, capsys):
+    saved("kept", "gpc", "mountaincar", policy_length_scale=3.0, constant_rate=0.3)
+    settings = course_of("--from", "kept", "--static-rate", "0.1", "--policy-length-scale", "2")[0].settings
+    assert dict(settings) == {"policy_length_scale": 2.0, "static_rate": 0.1}
+    assert not course_of("--from", "kept", "--algo", "gpc-ns")[0].settings
+    assert not capsys.readouterr().err
+    course, _ = course_of("--from", "kept", "--env", "tests.teach.drifting:Drift", "--algo", "gpc")
+    assert not course.settings
+    assert (
+        "what was learned on mountaincar is taught tests.teach.drifting:Drift now" in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("algo", built_in("learner"))
+@pytest.mark.parametrize("env", ["cartpole", "lunarlander"])
+def test_usual_settings_are_not_named(algo, env, tmp_path):
+    saved(tmp_path / "kept", algo, env)
+    assert of_saved(tmp_path / "kept", None, None)[1:] == (env, algo, {})
+
+
+@pytest.mark.parametrize(
+    ("algo", "options"),
+    [
+        ("gpc", {"noise": 1e-5, "policy_nu": 2.5}),
+        ("gpc-ns", {"human_noise": 1e-5, "human_variance": 2.0}),
+        ("coach", {"beta": 7.0, "coach_constant": 0.5}),
+        ("d-coach", {"width": 8, "learning_rate": 0.1, "magnitude": 0.5}),
+    ],
+)
+def test_its_settings_are_read_from_what_was_saved(algo, options, tmp_path):
+    saved(tmp_path / "kept", algo, "lunarlander", **options)
+    assert of_saved(tmp_path / "kept", None, None).settings == options
+
+
+def test_a_setting_for_each_action_dimension_is_none_of_a_lesson(tmp_path):
+    saved(tmp_path / "kept", "coach", "lunarlander", beta=(1.0, 2.0))
+    with pytest.raises(UserError, match="its beta is another one in each action dimension"):
+        of_saved(tmp_path / "kept", None, None)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--env", "cartpole", "--algo", "gpc"), "it holds what coach learned, which means nothing to gpc"),
+        ((), "--from kept: it does not say what it learned, give the task (--env)"),
+    ],
+)
+def test_another_learner_is_not_taught_under_its_name(words, line, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    saved("kept", "coach", "cartpole", told=False)
+    assert cli.main(["teach", "--from", "kept", *words]) == 2
+    said = capsys.readouterr().err
+    assert line in said and said.count("\n") == 1
+    (tmp_path / "out").mkdir()
+    with pytest.raises(UserError, match="it is of a COACH of another kind than the learner"):
+        Taught.begin(tmp_path / "out", Course("cartpole", "gpc"), tmp_path / "kept")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_lessons_own_save_needs_no_further_word(course_of, tmp_path):
+    (tmp_path / "one").mkdir()
+    course = Course("mountaincar", "gpc", (("human_noise", 1e-3), ("credit", 0.2)), 4)
+    taught = Taught.begin(tmp_path / "one", course)
+    taught.advise(Press(1, 0, 1, 0, 0.0, 0.0, False))
+    taught.save("a")
+    save = tmp_path / "one" / SAVES / "a"
+    assert course_of("--from", str(save))[0] == Course("mountaincar", "gpc", course.settings)
+    # Of a version that did not write the task down the lesson beside it tells.
+    card = read_card(save, "learner")
+    del card["provenance"]["env"]
+    arrays = read_arrays(save, card, "learner")
+    write_folder(tmp_path / "one" / SAVES / "older", card, arrays)
+    assert course_of("--from", f"one/{SAVES}/older")[0] == Course("mountaincar", "gpc", course.settings)
+
+
+def test_lessons_that_began_with_a_saved_learner_of_another_name_go_on(tmp_path):
+    """As versions before wrote them: what was saved lies in `start` as it was."""
+    saved(tmp_path / "kept", "coach", "mountaincar")
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(tmp_path / "lesson", Course("mountaincar", "coach"), tmp_path / "kept")
+    taught.step()
+    taught.end("over")
+    file = tmp_path / "lesson" / COURSE
+    file.write_text(file.read_text().replace('"coach"', '"gpc"'))
+    again = Taught.resume(tmp_path / "lesson", lambda line: None, whole=True)
+    assert type(again.session.learner).__name__ == "COACH"

@@ -221,6 +221,32 @@ def test_saved_and_opened(held, writes_here):
     assert second.name == "taught-2" and (second / "start").is_dir()
 
 
+def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, monkeypatch):
+    held.ask("step")
+    shown = held.wait("frame")["n"]
+    held.ask("save", name="before")
+    held.wait("saved")
+    end = Lesson._end
+    monkeypatch.setattr(Lesson, "_end", lambda lesson: (held.told.append({"type": "ends"}), end(lesson)))
+    held.forget()
+    held.ask("open", name="before")
+    held.press(20)
+    for kind, values in (("step", {}), ("reset", {}), ("undo", {}), ("speed", {"value": 2.0})):
+        held.ask(kind, **values)
+    held.ask("joined")
+    held.wait("task", seconds=120)
+    assert [each["type"] for each in held.told[:2]] == ["preparing", "ends"]
+    held.press(21, shown=shown)  # it was under way: about what another lesson had shown
+    held.ask("save", name="after")
+    held.wait("saved")
+    assert held.lesson._standing.paused and held.lesson._standing.speed == 1.0
+    assert held.lesson._taught.present.length == 0 and held.lesson._taught.episode == 0
+    held.press(22, shown=held.wait("frame")["n"])
+    held.wait("advised")
+    assert [each["id"] for each in held.messages("advised")] == [22]
+    assert len(held.messages("task")) == 2, "the page that came is told everything"
+
+
 @pytest.mark.parametrize(
     ("algo", "setting"),
     [("gpc", "constant_rate"), pytest.param("d-coach", "learning_rate", marks=pytest.mark.slow)],

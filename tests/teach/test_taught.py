@@ -38,7 +38,7 @@ def teach(taught, steps, seed=0):
     for step in range(steps):
         taught.step()
         if draws.random() < 0.4:
-            taught.advise(press(step, int(draws.choice([-1, 1]))), 0)
+            taught.advise(press(step, int(draws.choice([-1, 1]))))
         if step % 13 == 7:
             taught.undo()
 
@@ -70,6 +70,11 @@ def lesson(tmp_path_factory):
 def test_the_course_of_a_task_without_values_is_taught_to_gpc_ns(lesson):
     assert lesson.course.algo == "gpc-ns"
     assert Course.read(lesson.folder) == lesson.course
+
+
+def test_an_episode_that_was_ended_by_hand_has_a_status_of_its_own(lesson):
+    assert [episode.why for episode in lesson.tally.finished] == ["over", "reset"]
+    assert gpcjax.load(lesson.folder)["status"].tolist() == ["ok", "cut"]
 
 
 def test_rows_are_a_sweeps(lesson):
@@ -122,7 +127,7 @@ def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
     taught = Taught.begin(tmp_path, course())
     taught.step()
     obs, before = taught.session.obs, taught.session.act(taught.session.obs)
-    done = taught.advise(press(1), 0)
+    done = taught.advise(press(1))
     assert done.before == before[0] and done.after > done.before
     assert taught.tally.corrections == taught.session.corrections == 1
     for _ in range(12):  # into the next episode
@@ -133,6 +138,34 @@ def test_undo_takes_back_what_was_learned_and_counted(tmp_path):
     np.testing.assert_array_equal(taught.session.act(obs), before)
 
 
+@pytest.mark.parametrize(
+    ("settings", "least"), [({"credit": (0.03,)}, 3), ({"credit": (0.01,), "credit_longest": (0.03,)}, 1)]
+)
+def test_late_advice_is_told_of_the_step_that_it_is_about(tmp_path, settings, least):
+    """The map shows it there; advice about no step of the episode is nowhere, nor is it a correction."""
+    taught = Taught.begin(tmp_path, course(**settings))
+    seen, told = [taught.session.obs.tolist()], []
+    for step in range(6):
+        if step:
+            taught.step()
+            seen.append(taught.session.obs.tolist())
+        done = taught.advise(press(step))
+        if step >= least:
+            told.append(done.obs.tolist())
+    assert told == seen[: 6 - least] == taught.tally.places()
+    taught.end("over")
+    assert taught.tally.log()["moments"].tolist() == [[0, step, 0] for step in range(least, 6)]
+    assert taught.tally.finished[0].corrections == 6 - least == taught.session.corrections
+    again = Taught.resume(tmp_path, nothing, whole=True)
+    assert (
+        again.tally.places() == told
+        and again.tally.log()["moments"].tolist() == taught.tally.log()["moments"].tolist()
+    )
+    for _ in range(6):
+        assert taught.undo()
+    assert taught.tally.places() == [] and taught.tally.log()["moments"].size == 0
+
+
 @pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 def test_a_full_dictionary_goes_on_learning_in_the_same_room(tmp_path, monkeypatch, algo):
     monkeypatch.setattr("gpcjax.teach.beginning.DICTIONARY", 8)
@@ -141,7 +174,7 @@ def test_a_full_dictionary_goes_on_learning_in_the_same_room(tmp_path, monkeypat
     shapes = [leaf.shape for leaf in _leaves(taught)]
     for number in range(24):
         taught.step()
-        done = taught.advise(press(number, 1 if number % 2 else -1), 0)
+        done = taught.advise(press(number, 1 if number % 2 else -1))
         assert int(done.info.status) == 0 and float(done.info.rate[0]) > 0
     assert taught.tally.corrections == 24 and taught.session.points[1] == 8
     assert [leaf.shape for leaf in _leaves(taught)] == shapes
@@ -263,6 +296,70 @@ class TestReplay:
         assert "episode" in str(raised.value)
 
 
+class TestDamaged:
+    """Lines that were lost or changed are told, by replay and by who goes on; nothing is counted without them."""
+
+    @staticmethod
+    def spoilt(lesson, folder, change):
+        shutil.copy(lesson.folder / COURSE, folder)
+        events = [json.loads(line) for line in (lesson.folder / RECORD).read_text().splitlines()]
+        text = "".join(json.dumps(event) + "\n" for event in change(events))
+        (folder / RECORD).write_text(text)
+        return text
+
+    @pytest.mark.parametrize("whole", [False, True])
+    @pytest.mark.parametrize(
+        ("values", "told"),
+        [
+            ({"ended": "over", "total": 1.5}, "what is noted of its end is damaged"),
+            ({"ended": "over", "total": 7, "length": 12}, "what is noted of its end is damaged"),
+            ({"ended": "over", "total": 1.5, "length": True}, "what is noted of its end is damaged"),
+            ({"ended": 3, "total": 1.5, "length": 12}, "what is noted of its end is damaged"),
+            ({}, "it is noted of 0 episodes how they ended, lines are missing or doubled"),
+        ],
+    )
+    def test_the_end_of_an_episode(self, lesson, tmp_path, values, told, whole):
+        def change(events):
+            for event in events:
+                if "ended" in event.get("values", {}):
+                    event["values"] = values
+            return events
+
+        text = self.spoilt(lesson, tmp_path, change)
+        with pytest.raises(UserError, match=rf"session\.jsonl: episode 0: {told}") as raised:
+            Taught.resume(tmp_path, nothing, whole=whole)
+        assert "\n" not in str(raised.value)
+        assert (tmp_path / RECORD).read_text() == text
+
+    def test_an_end_that_is_there_twice(self, lesson, tmp_path):
+        self.spoilt(
+            lesson,
+            tmp_path,
+            lambda events: [again for event in events for again in [event] * (1 + ("ended" in str(event)))],
+        )
+        with pytest.raises(
+            UserError, match="it is noted of 1 episodes how they ended, lines are missing or doubled"
+        ):
+            Taught.resume(tmp_path, nothing)
+
+    @pytest.mark.parametrize(
+        ("settings", "told"),
+        [
+            (lambda settings: [], "this is no record of a session"),
+            (lambda settings: settings | {"rooms": 5}, "rooms 5 are none of a session"),
+            (lambda settings: settings | {"rooms": [[8, "a"]]}, "rooms .* are none of a session"),
+        ],
+    )
+    def test_its_settings(self, lesson, tmp_path, settings, told):
+        self.spoilt(
+            lesson,
+            tmp_path,
+            lambda events: [{**events[0], "settings": settings(events[0]["settings"])}, *events[1:]],
+        )
+        with pytest.raises(UserError, match=told):
+            Taught.resume(tmp_path, nothing, whole=True)
+
+
 class TestFullDisk:
     @pytest.fixture
     def full(self, tmp_path, monkeypatch):
@@ -286,7 +383,7 @@ class TestFullDisk:
         taught, patch = full
         before = taught.session.proposed, taught.session.corrections, taught.session.step
         leaves = list(map(np.asarray, _leaves(taught)))
-        for do in (lambda: taught.advise(press(1), 0), taught.undo, lambda: taught.end("reset")):
+        for do in (lambda: taught.advise(press(1)), taught.undo, lambda: taught.end("reset")):
             with pytest.raises(UserError, match="No space left"):
                 do()
         np.testing.assert_array_equal(taught.session.proposed, before[0])
@@ -325,7 +422,7 @@ class TestFullDisk:
         while taught.episode < 3:
             before = taught.present.length, taught.episode
             if not taught.present.length % 8:  # each would be a dictionary of hundreds of points
-                insist(lambda: taught.advise(press(1), 0))
+                insist(lambda: taught.advise(press(1)))
             with contextlib.suppress(UserError):
                 taught.step()
             while taught.behind:
@@ -338,7 +435,7 @@ class TestFullDisk:
         monkeypatch.undo()
         while plain.episode < 3:
             if not plain.present.length % 8:
-                plain.advise(press(1), 0)
+                plain.advise(press(1))
             plain.step()
         assert failed
         assert_same(taught, plain)
@@ -391,7 +488,7 @@ class TestFailing:
                 assert taught.broken and taught.present.length == 4
                 problems += 1
                 assert taught.catch_up().why == "problem"
-                taught.advise(press(problems), 0)
+                taught.advise(press(problems))
         done = taught.tally.finished
         assert {(each.why, each.length) for each in done} == {("problem", 4), ("over", 12)}
         assert np.isfinite([each.total for each in done]).all()
@@ -443,7 +540,7 @@ class TestFailing:
         """Its advice can be taken back, also at the beginning of an episode that it does not come to."""
         taught = Taught.begin(tmp_path, course(algo=("tests.teach.failing:Diverging",)))
         taught.step()
-        taught.advise(press(1), 0)
+        taught.advise(press(1))
         with pytest.raises(UserError, match="is no number"):
             taught.step()
         assert taught.behind and not taught.ending
@@ -461,7 +558,7 @@ class TestFailing:
     def test_undone_while_the_end_is_half_written(self, tmp_path, monkeypatch):
         taught = Taught.begin(tmp_path, course())
         taught.step()
-        taught.advise(press(1), 0)
+        taught.advise(press(1))
         with monkeypatch.context() as patch:
             patch.setattr(type(taught.session), "end_episode", _full)
             with pytest.raises(UserError, match="full"):

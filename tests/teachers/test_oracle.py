@@ -175,6 +175,9 @@ class TestAdvisor:
         assert isinstance(advisor, Advisor)
         with pytest.raises(ValueError, match=r"give sigma_human, from learner.uncertainty"):
             advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1))
+        for sigma, told in ((np.nan, "each entry must be finite"), (-5.0, "give numbers of at least 0")):
+            with pytest.raises(ValueError, match=rf"^sigma_human \[{sigma}\]: {told}"):
+                advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1), [sigma])
         assert advisor.advise(jax.random.key(0), np.zeros(4), np.ones(1), [1.0]).tolist() == [-1]
         assert advisor.advise(jax.random.key(1), np.zeros(4), np.ones(1), np.zeros(1)).tolist() == [0]
         with pytest.raises(

@@ -134,7 +134,8 @@ are as participants have written them: look before you publish them.
 
 The files `NAME.parquet` hold the tables below. `rows/PHASE/TASK-LEARNER` (and -ARM where there are several) are run
 folders as those of a sweep, with one seed for each participant and repetition: `gpcjax.load` and
-`gpcjax.load_corrections` read them, `gpcjax compare` compares them. They do not tell which episodes were cut.
+`gpcjax.load_corrections` read them, `gpcjax compare` compares them. An episode that
+the limit of time has cut has the status `cut` there, and reports and comparisons leave it out.
 """
 
 
