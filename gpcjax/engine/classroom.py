@@ -2,8 +2,8 @@
 
 Every step of all that are due is one call of a program, and so is every correction. A pupil whose dictionary is full
 moves to the block of the next room before the correction that may not fit: a matter of its own counts, as in a pool
-(`gpcjax.engine.pool`). Blocks have 8 lanes or more, a power of two, so that the bits of a lane do not depend on who
-else is there: the recording of a session here is made again in a classroom with one pupil.
+(`gpcjax.engine.pool`). Blocks have 8 or 16 lanes, so that the bits of a lane do not depend on who else is there: the
+recording of a session here is made again in a classroom with one pupil.
 
 Methods may be called from several threads. Of each pupil one thing happens at a time, which its caller sees to; the
 steps of others do not wait for a correction.
@@ -32,8 +32,12 @@ ROOMS = ((64, 64), (128, 256), (256, 512), (1024, 1024))
 A correction of GPC takes 7 ms with the last, 0.1 ms with the first; few of them, as each costs seconds to compile.
 """
 
-LEAST, BENCH_BYTES = 8, 1 << 28
-"""Lanes of a block at least, and bytes of what is learned in one at most: beyond that there are more of them."""
+LEAST, MOST, BENCH_BYTES = 8, 16, 1 << 28
+"""Lanes of a block, at least and at most, and bytes of what is learned in one: beyond that there are more of them.
+
+A row of more than four vectors (64 lanes, or 32 where vectors have four numbers) is compiled to another loop, with
+other last bits.
+"""
 
 
 Rooms = Sequence[tuple[int, int]]
@@ -167,4 +171,4 @@ class Classroom:
     def _width(self, room: tuple[int, int]) -> int:
         """Lanes of a block with this room: enough for all, unless that were too large."""
         most = BENCH_BYTES // (16 * self._learner.action_size * max(room) ** 2)
-        return min(lanes_for(self.places), max(LEAST, 1 << (most.bit_length() - 1)))
+        return min(lanes_for(self.places), MOST, max(LEAST, 1 << (most.bit_length() - 1)))

@@ -4,13 +4,16 @@ import dataclasses
 import json
 import threading
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gpcjax.engine.classroom import Classroom, kind_of, lanes_for, rooms_of
+from gpcjax.engine.classroom import LEAST, MOST, Classroom, kind_of, lanes_for, rooms_of
 from gpcjax.engine.course import credit_of
 from gpcjax.engine.seated import in_classroom, leave, propose_together
 from gpcjax.engine.session import Session
+from gpcjax.engine.stepping import propose
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.recording import Deferred, Recording
@@ -211,6 +214,28 @@ class TestDeferred:
         recording.append(end)
         recording.flush()
         assert len(Recording.read(tmp_path / "record")[1]) == 2 and len(recording._waiting) == 2
+
+
+def test_blocks_of_every_width_act_alike(compiled_as_shipped):
+    """64 lanes did not: so no block is wider than the widest here."""
+    learner, rng = make_learner("gpc", **SIZES, capacity=64), np.random.default_rng(0)
+    state = learner.init()
+    for _ in range(6):
+        state, _ = learner.correct(
+            state, rng.normal(size=2), rng.uniform(-1, 1, 2), rng.choice([-1.0, 1.0], 2)
+        )
+    controller, obs = learner.controller(state), 0.3 * rng.normal(size=(2, MOST))
+
+    def acts(width):
+        wide = jax.tree.map(lambda leaf: jnp.repeat(leaf[..., None], width, axis=-1), controller)
+        act = jax.jit(lambda obs: propose(wide, obs, jnp.zeros(width))[0])
+        return np.concatenate(
+            [act(obs[:, place : place + width]) for place in range(0, MOST, width)], axis=-1
+        )
+
+    widths = {Classroom(learner, None, [(64, 64)], places)._tiers[0].lanes for places in (1, 16, 64, 1000)}
+    assert widths == {LEAST, MOST} and len(set(acts(LEAST).ravel())) > MOST
+    np.testing.assert_array_equal(acts(MOST), acts(LEAST))
 
 
 @pytest.mark.slow
