@@ -1,10 +1,11 @@
-"""Every test runs with all checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
+"""Every test runs with checks on: shapes and types at run time, random keys used once, no silent broadcasting."""
 
 import contextlib
 import ctypes
 import gc
 import os
 import signal
+import sys
 import warnings
 
 import hypothesis
@@ -14,8 +15,8 @@ import threadpoolctl
 from jax._src import compiler
 from jaxtyping import install_import_hook
 
-import tests.typechecker  # noqa: F401  (the hook finds it by name)
 from gpcjax.sweep.environment import xla_options
+from tests import typechecker
 
 pytest_plugins = ["tests.tiers", "tests.memory"]
 
@@ -23,12 +24,21 @@ COMPUTING = (
     "gpcjax.elementary gpcjax.engine gpcjax.envs gpcjax.gp gpcjax.learners gpcjax.moment gpcjax.policies"
     " gpcjax.streams gpcjax.sweep.ppo gpcjax.teachers"
 ).split()
-"""Whose shapes and types are checked at run time, with each call; the static checker looks after all others.
+"""Whose shapes and types are checked at run time, where `typechecker.CHECKED` says so.
+
+The static checker looks after all others.
 
 A nested function is decorated anew at each call, which takes most of the time of what draws figures and writes pages.
 """
 
 install_import_hook(COMPUTING, "tests.typechecker.check")
+
+# All processes of the tests read the same modules: what they compile these to is kept, whatever the environment says.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# No power fails under tests: nobody waits until the disk has what is written.
+os.fsync = lambda descriptor: None
 
 # A shell's background job ignores Ctrl-C, and nohup a lost connection; so would all that the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -103,6 +113,7 @@ COMPILED_PLAINLY = (
     "learners/test_coach.py",
     "learners/test_dcoach.py",
     "learners/test_gpc.py",
+    "learners/test_own.py",
     "learners/test_parity.py",
     "learners/test_saved.py",
     "learners/test_scaling.py",
@@ -158,6 +169,7 @@ LONGEST = (
     "learners/test_calls.py",
     "learners/test_carried.py",
     "test_foreign.py",
+    "test_torture.py",
     "sweep/test_executables.py",
     "learners/test_parity.py",
     "learners/test_saved.py",
@@ -184,8 +196,16 @@ LONGEST = (
 
 
 def pytest_collection_modifyitems(items):
-    places = {f"tests/{name}": place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0], len(LONGEST)))
+    """The longest first, and together what is compiled alike: between others all that was compiled is forgotten."""
+    places = {name: place for place, name in enumerate(LONGEST)}
+
+    def place(item):
+        name = item.nodeid.partition("::")[0].removeprefix("tests/")
+        plainly, last = name.startswith(COMPILED_PLAINLY), len(LONGEST)
+        first = places.get(name, last)
+        return plainly if first < last else 3 - plainly, first
+
+    items.sort(key=place)
 
 
 def pytest_collection_finish():
@@ -215,6 +235,7 @@ def settings_of_jax(request):
     """Those that this module needs."""
     name = request.node.nodeid.removeprefix("tests/")
     jax.config.update("jax_debug_key_reuse", name.startswith(DRAWING))
+    typechecker.check_in(name, everywhere=request.config.option.both_tiers)
     with _compiled(plainly=name.startswith(COMPILED_PLAINLY)):
         yield
     jax.config.update("jax_debug_key_reuse", False)

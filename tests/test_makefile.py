@@ -151,16 +151,15 @@ PROGRAMS = [
 ]
 """Texts that make or a shell would run or fill in; a file named bad shows that one did."""
 
+TELLING = "$(shell touch bad)", "`touch bad`", "a; touch bad", "' touch bad '"
+"""One for make, one for the shell, one for each way out of a word."""
+
 
 @pytest.mark.parametrize("value", ["it's", "a b", "a ", '"', "*", "", "\\", "%s", *PROGRAMS])
 def test_a_value_is_one_word_whatever_it_holds(folder, value):
     done = make(folder, "sweep", f"OUT={value}")
     assert (done.returncode, called(folder)) == (0, [["-m", "gpcjax", "sweep", f"--out={value}"]])
     assert not (folder / "bad").exists()
-
-
-TELLING = "$(shell touch bad)", "`touch bad`", "a; touch bad", "' touch bad '"
-"""One for make, one for the shell, one for each way out of a word."""
 
 
 @pytest.mark.parametrize(
@@ -197,7 +196,11 @@ def test_no_variable_of_any_target_is_a_program(folder, value):
         ("  ", []),
         ("%s -n", ["%s", "-n"]),
         ("a\ntouch bad", ["a", "touch", "bad"]),
-        *((value, value.split()) for value in PROGRAMS if not set(value) & set("'\"")),
+        *(
+            pytest.param(value, value.split(), marks=[] if value in TELLING else [pytest.mark.slow])
+            for value in PROGRAMS
+            if not set(value) & set("'\"")
+        ),
     ],
 )
 def test_args_are_words_by_their_quotes_and_nothing_more(folder, value, words):
@@ -321,18 +324,20 @@ BARE = f'exec {sys.executable} -S "$@"'
 @pytest.mark.parametrize(
     "words",
     [
-        ("sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
-        ("sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
-        ("sweep", "ENV=gym:Pendulum-v1"),
-        ("sweep", "ENV=brax:reacher"),
-        ("sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),
-        ("sweep", "ENV=cartpole", "TEACHER=replay:a.jsonl"),
-        ("sweep", "ENV=cartpole", "ENGINE=ray"),
-        ("sweep", "SPEC=own.toml"),
-        ("grid", "ENV=mytask:Drift", "LP=0.1,0.2"),
-        ("tune", "ENV=cartpole", "ARGS=--search policy-length-scale=0.1:1"),
+        pytest.param(words, id=" ".join(words), marks=marks)
+        for marks, *words in (
+            ((), "sweep", "ENV=mytask:Drift", "ORACLE=mytask:expert"),
+            (pytest.mark.slow, "sweep", "ENV=cartpole", "ORACLE=mytask:expert"),
+            ((), "sweep", "ENV=gym:Pendulum-v1"),
+            (pytest.mark.slow, "sweep", "ENV=brax:reacher"),
+            (pytest.mark.slow, "sweep", "ENV=cartpole", "ALGO=mylearner:Linear"),
+            ((), "sweep", "ENV=cartpole", "TEACHER=replay:a.jsonl"),
+            ((), "sweep", "ENV=cartpole", "ENGINE=ray"),
+            (pytest.mark.slow, "sweep", "SPEC=own.toml"),
+            (pytest.mark.slow, "grid", "ENV=mytask:Drift", "LP=0.1,0.2"),
+            ((), "tune", "ENV=cartpole", "ARGS=--search policy-length-scale=0.1:1"),
+        )
     ],
-    ids=" ".join,
 )
 def test_what_needs_a_module_is_no_mistake_before_the_setting_up(folder, words):
     """With a Python that has nothing: the check says that it looks later, and the setting up begins."""

@@ -95,9 +95,16 @@ def start():
             child.kill()
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("body", [SWEEPING, COMPUTING], ids=["in a sweep", "elsewhere"])
-def test_a_signal_is_one_line_and_its_status(start, tmp_path, name, body):
+@pytest.mark.parametrize(
+    ("body", "name"),
+    [
+        *((SWEEPING, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")),
+        (COMPUTING, "SIGINT"),
+        *(pytest.param(COMPUTING, name, marks=pytest.mark.slow) for name in ("SIGTERM", "SIGHUP")),
+    ],
+    ids=lambda given: {SWEEPING: "in a sweep", COMPUTING: "elsewhere"}.get(given, given),
+)
+def test_a_signal_is_one_line_and_its_status(start, tmp_path, body, name):
     number = getattr(signal, name)
     child = start(body, tmp_path)
     child.send_signal(number)
@@ -132,7 +139,9 @@ def test_what_is_installed_is_the_quiet_one():
     assert settings["project"]["scripts"] == {"gpcjax": "gpcjax.__main__:main"}
 
 
-@pytest.mark.parametrize("pause", [0.0, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize(
+    "pause", [0.0, 0.1, *(pytest.param(pause, marks=pytest.mark.slow) for pause in (0.02, 0.3))]
+)
 def test_a_second_one_changes_nothing(start, tmp_path, pause):
     child = start(SWEEPING, tmp_path)
     for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):

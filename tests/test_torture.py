@@ -33,7 +33,7 @@ def test_every_fault_is_found(sealed, cases):
         assert sum(status == "computed again" for _, status, _ in judged) > cases / 2
 
 
-@pytest.mark.parametrize("cases", [10, pytest.param(shards.OF * ALL, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [6, pytest.param(shards.OF * ALL, marks=pytest.mark.slow)])
 def test_nothing_is_merged_of_spoiled_shards_but_rows_of_the_sweep(cases):
     judged = list(shards.torture(cases, seed=1))
     assert not wrong(judged)
@@ -43,7 +43,7 @@ def test_nothing_is_merged_of_spoiled_shards_but_rows_of_the_sweep(cases):
 @pytest.mark.parametrize(
     ("module", "cases"),
     [
-        ("disks", 5),
+        ("disks", 3),
         *(
             pytest.param(*each, marks=pytest.mark.slow)
             for each in (("disks", 60), ("disks_saving", 60), ("disks_underway", 4))

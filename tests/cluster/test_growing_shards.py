@@ -56,9 +56,9 @@ def test_for_programs_each_line_is_json(tmp_path, capsys):
     ("before", "last"),
     [
         ([{"seeds": 4}], {"seeds": 8}),
-        ([{"seeds": 4}], {"seeds": "4-7"}),
+        pytest.param([{"seeds": 4}], {"seeds": "4-7"}, marks=pytest.mark.slow),
         ([{"seeds": 4}, {"seeds": 6}], {"seeds": 6, "beta": [3, 5]}),
-        ([{"seeds": 4}, {"seeds": 6}], {"seeds": "9-9"}),
+        pytest.param([{"seeds": 4}, {"seeds": 6}], {"seeds": "9-9"}, marks=pytest.mark.slow),
         ([{"seeds": 4}, {"seeds": "4-7"}], {"seeds": 8}),
     ],
 )

@@ -205,6 +205,14 @@ class TestLateOnHost(GoesOn):
     env, tiers = host_drift(), (NARROW,)
     starts = staticmethod(lambda: [late(index, learner("coach"), index) for index in range(10)])
 
+    @pytest.mark.slow
+    def test_twice_in_a_row(self, pool, observed):
+        super().test_twice_in_a_row(pool, observed)
+
+    @pytest.mark.slow
+    def test_keeping_changes_no_bit(self, pool, observed):
+        super().test_keeping_changes_no_bit(pool, observed)
+
     def test_a_simulation_that_does_not_replay_is_named(self, pool, observed, monkeypatch):
         taken = next(each for each in observed[1][1:] if any(run.lane.env.time > 1 for run in each))
         snapshot = next(each for each in taken if each.lane.env.time > 1)

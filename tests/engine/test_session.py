@@ -227,7 +227,7 @@ class TestRecord:
 
 
 class TestSaved:
-    @pytest.mark.parametrize("ends", [False, True])
+    @pytest.mark.parametrize("ends", [False, pytest.param(True, marks=pytest.mark.slow)])
     def test_it_goes_on_to_the_bit(self, coach, tmp_path, ends):
         """Whoever loads it, and from its record too."""
         session = lesson(Session(coach, **LATE), 4)
@@ -353,7 +353,7 @@ def test_an_action_that_is_no_number(coach):
     assert session.step == -1
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 def test_far_out_it_is_what_its_learner_and_its_policy_are(algo):
     """Where squares would be infinite: it acts, proposes, learns and knows its uncertainty."""
     learner = gpcjax.make_learner(algo, obs_size=2, action_size=1, capacity=8)

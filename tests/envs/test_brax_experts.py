@@ -81,7 +81,10 @@ def test_float32_is_close(of_brax):
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("task", KNOWN)
+@pytest.mark.parametrize(
+    "task",
+    [pytest.param(task, marks=[pytest.mark.slow] if number else []) for number, task in enumerate(KNOWN)],
+)
 def test_an_expert_ships(task):
     """One for each of these, whose card says how it came about."""
     (expert, name), *others = shipped(f"brax:{task}").items()

@@ -156,6 +156,7 @@ def test_reset(starts: Callable[[int], jax.Array]) -> None:
         assert not np.asarray(zero).any()
 
 
+@pytest.mark.slow
 def test_parameters_are_vmapped(plant: Plant) -> None:
     powers = jnp.array([0.0005, 0.0015, 0.01])
     physics = jnp.array([-0.7, 0.02])

@@ -77,6 +77,7 @@ def test_reset(starts: Callable[[int], jax.Array]) -> None:
     np.testing.assert_allclose(state.obs, np.stack([np.cos(theta), np.sin(theta), theta_dot], -1), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_parameters_are_vmapped(plant: Plant) -> None:
     gravities = jnp.array([5.0, 9.81, 20.0])
     physics = jnp.array([2.0, -0.5])

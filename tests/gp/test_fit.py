@@ -10,8 +10,6 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteK
 from gpcjax.gp.fit import BOUNDS, fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SMOOTHNESSES, SQUARED_EXPONENTIAL, Kernel
 
-each_smoothness = pytest.mark.parametrize("smoothness", SMOOTHNESSES)
-
 
 def data(n=40, d=1, seed=0, noise=0.1):
     rng = np.random.default_rng(seed)
@@ -36,7 +34,9 @@ def ours(smoothness, points, targets, values):
     )
 
 
-@each_smoothness
+@pytest.mark.parametrize(
+    "smoothness", [pytest.param(nu, marks=[pytest.mark.slow] if nu == 1.5 else []) for nu in SMOOTHNESSES]
+)
 @pytest.mark.parametrize("d", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_likelihood_and_its_slope_are_those_of_scikit_learn(smoothness, d):
     points, targets = data(d=d)

@@ -65,8 +65,8 @@ class TestOptimum:
     )  # one ends at a bound, as ours does
     def test_it_is_scikit_learns(self):
         data = dictionaries()
-        reference = regressor(1.5, STARTS[0], n_restarts_optimizer=4, random_state=0).fit(*used(data))
-        found = fit_dictionaries(data, 1.5, BOUNDS, STARTS)
+        reference = regressor(2.5, STARTS[0], n_restarts_optimizer=4, random_state=0).fit(*used(data))
+        found = fit_dictionaries(data, 2.5, BOUNDS, STARTS)
         assert found.log_likelihood[0] >= reference.log_marginal_likelihood_value_ - 1e-3
         np.testing.assert_allclose(np.log(found.numbers[0]), reference.kernel_.theta, atol=0.05)
 

@@ -95,6 +95,7 @@ def test_other_settings_are_other_programs():
         assert [int(info.status) for info in infos] == [0, last]
 
 
+@pytest.mark.slow
 def test_inside_jit_it_is_what_it_is_outside():
     learner = make_learner("gpc", obs_size=2, action_size=2, capacity=8)
     state, _ = teach(learner, learner.init(), 2)
@@ -302,27 +303,44 @@ def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(value):
     assert done.stdout.split() == [str(value == "1")], done.stderr
 
 
-def pairs():
-    """A learner, and a state of another one: of other sizes, another grid, another kind of dictionary."""
-    gpc = lambda name="gpc", **options: make_learner(  # noqa: E731
-        name, **{"obs_size": 2, "action_size": 1, "capacity": 32} | options
-    )
-    coach = lambda count: make_learner(  # noqa: E731
-        "coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=[count]
-    )
-    dcoach = lambda width: make_learner("d-coach", obs_size=2, action_size=1, width=width, buffer_size=8)  # noqa: E731
-    yield gpc(obs_size=1), gpc().init()
-    yield gpc(action_size=2), gpc().init()
-    yield gpc(on_full="replace-nearest"), gpc("gpc-ns").init()
-    yield gpc("gpc-ns"), gpc().init()
-    yield gpc(), eqx.tree_at(lambda state: state.policy.targets, gpc().init(), jnp.zeros((1, 16)))
-    yield coach(5), coach(9).init()
-    yield dcoach(4), dcoach(6).init()
-    yield counting(), counting().init() | {"total": jnp.zeros(3)}
+def gpc(name="gpc", **options):
+    return make_learner(name, **{"obs_size": 2, "action_size": 1, "capacity": 32} | options)
 
 
-@pytest.mark.parametrize(("learner", "state"), list(pairs()))
-def test_a_state_of_another_learner_is_refused(learner, state):
+def coach(count):
+    return make_learner("coach", obs_size=1, action_size=1, lower=-1, upper=1, counts=[count])
+
+
+def dcoach(width):
+    return make_learner("d-coach", obs_size=2, action_size=1, width=width, buffer_size=8)
+
+
+def cut(state):
+    return eqx.tree_at(lambda state: state.policy.targets, state, jnp.zeros((1, 16)))
+
+
+PAIRS = {
+    "observations": lambda: (gpc(obs_size=1), gpc().init()),
+    "actions": lambda: (gpc(action_size=2), gpc().init()),
+    "a kind of dictionary": lambda: (gpc(on_full="replace-nearest"), gpc("gpc-ns").init()),
+    "another kind": lambda: (gpc("gpc-ns"), gpc().init()),
+    "one room in two": lambda: (gpc(), cut(gpc().init())),
+    "a grid": lambda: (coach(5), coach(9).init()),
+    "a network": lambda: (dcoach(4), dcoach(6).init()),
+    "ones own": lambda: (counting(), counting().init() | {"total": jnp.zeros(3)}),
+}
+"""A learner, and a state of another one that differs in this."""
+
+
+@pytest.mark.parametrize(
+    "differs",
+    [
+        *("observations", "a kind of dictionary", "one room in two", "a grid", "ones own"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("actions", "another kind", "a network")),
+    ],
+)
+def test_a_state_of_another_learner_is_refused(differs):
+    learner, state = PAIRS[differs]()
     obs, none = np.zeros(learner.obs_size), np.zeros(learner.action_size)
     for call in (
         lambda: learner.act(state, obs),

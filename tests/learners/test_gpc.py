@@ -39,7 +39,7 @@ def dimension(state, i):
 
 
 class TestWithoutAdvice:
-    @each_variant
+    @gpc_first
     @pytest.mark.parametrize(
         "count", [*(pytest.param(count, marks=pytest.mark.slow) for count in (0, 16)), 12]
     )
@@ -232,7 +232,7 @@ class TestOneCodePath:
         assert len(traces) == 2
 
 
-@each_variant
+@gpc_first
 def test_plain_numbers_of_any_kind_are_taken(algo):
     """Lists, float32 and integers: all are computed in float64."""
     learner = make_learner(algo, "cartpole", capacity=16)

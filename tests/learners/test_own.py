@@ -83,15 +83,21 @@ def test_one_made_by_its_class_has_a_policy(kind):
     np.testing.assert_array_equal(session.policy()(OBS), action)
 
 
-def learners():
-    yield gpcjax.make_learner("gpc", **SIZES, capacity=4)
-    yield gpcjax.make_learner("coach", obs_size=2, action_size=1, lower=-1, upper=1, counts=[3, 3])
-    yield gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
-    yield fixed(Units(**SIZES))
+LEARNERS = {
+    "gpc": lambda: gpcjax.make_learner("gpc", **SIZES, capacity=4),
+    "coach": lambda: gpcjax.make_learner(
+        "coach", obs_size=2, action_size=1, lower=-1, upper=1, counts=[3, 3]
+    ),
+    "d-coach": lambda: gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2),
+    "units": lambda: fixed(Units(**SIZES)),
+}
 
 
-@pytest.mark.parametrize("learner", list(learners()), ids=lambda learner: type(learner).__name__)
-def test_a_policy_stays_when_its_state_is_given_away(learner):
+@pytest.mark.parametrize(
+    "name", ["gpc", "units", *(pytest.param(name, marks=pytest.mark.slow) for name in ("coach", "d-coach"))]
+)
+def test_a_policy_stays_when_its_state_is_given_away(name):
+    learner = LEARNERS[name]()
     state, _ = learner.correct(learner.init(jax.random.key(0)), OBS, [0.0], [1])
     early, late = learner.policy_of(state), learner.policy_of(state)
     before = np.array(early(OBS))
@@ -124,7 +130,13 @@ def test_a_class_that_is_written_anew_is_the_new_one(module):
         gpcjax.make_oracle("mine_here:Drift")
 
 
-@pytest.mark.parametrize(("name", "value"), [("jax_random_seed_offset", 7), ("jax_default_prng_impl", "rbg")])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("jax_random_seed_offset", 7),
+        pytest.param("jax_default_prng_impl", "rbg", marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
     learner = gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
     twice = []

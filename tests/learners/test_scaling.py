@@ -21,6 +21,7 @@ from tests.trees import assert_same_bits
 MINE = TaskSpec("mine", "gpcjax.envs.pendulum:Pendulum", sizes=(3, 1), obs_scale=(1.0, 2.0, 4.0))
 W, PAIR = (1.5, 0.7, 0.2), (0.6, 2.0, 0.3, 4.0)
 each_learner = pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+gpc_first = pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 
 
 @pytest.mark.parametrize(
@@ -68,7 +69,7 @@ def test_gpc_ns_finds_out_by_itself_how_large_a_task_says_its_observations_are()
     np.testing.assert_allclose(make_learner("gpc", mine).scaling, [1.0, 0.5, 0.25])
 
 
-@each_learner
+@gpc_first
 def test_a_learner_that_has_them_is_kept_and_carried_over(algo):
     learner = make_learner(algo, "pendulum", capacity=16, scaling=W, human_scaling=PAIR)
     state = taught(learner)

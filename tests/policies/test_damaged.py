@@ -73,7 +73,9 @@ def test_any_changed_byte_is_found(tmp_path, learner, what):
         shutil.rmtree(path)
 
 
-@pytest.mark.parametrize("change", ["cut", "flip", "remove"])
+@pytest.mark.parametrize(
+    "change", ["flip", *(pytest.param(change, marks=pytest.mark.slow) for change in ("cut", "remove"))]
+)
 def test_nothing_else_reaches_the_terminal(tmp_path, learner, change, capfd, caplog):
     """With sums that fit, so that the checkpoint itself is read; also nothing later, when what it left is freed."""
     path = shutil.copytree(learner, tmp_path / "bad")

@@ -34,7 +34,13 @@ def assert_same_actions(policy, observations):
             np.testing.assert_allclose(plain(obs), unclipped(obs), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("cartpole", "brax-reacher") else pytest.param(name, marks=pytest.mark.slow)
+        for name in SHIPPED
+    ],
+)
 def test_each_shipped_policy(name):
     policy = load_shipped(name)
     size = policy.controller.obs_size

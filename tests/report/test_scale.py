@@ -91,7 +91,13 @@ def test_medians_are_those_of_each_resample_to_the_bit(runs, monkeypatch):
         assert found == (np.median(sample), *bounds)
 
 
-@pytest.mark.parametrize("name", ["normal", "exponential", "0 or 2500, p = 0.1", "0 or 2500, p = 0.5"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("normal", "0 or 2500, p = 0.1"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("exponential", "0 or 2500, p = 0.5")),
+    ],
+)
 def test_intervals_cover_as_often_as_they_say_where_nothing_is_resampled(name):
     """Of 2,000 samples, whose part has a standard error of 0.5%."""
     part, equal = covered(name, MANY_RUNS, samples=2000)

@@ -34,7 +34,13 @@ LEAST = {
 }
 
 
-@pytest.mark.parametrize("name", RETURNS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("normal", "0 or 2500, p = 0.1") else pytest.param(name, marks=pytest.mark.slow)
+        for name in RETURNS
+    ],
+)
 def test_intervals_cover_the_mean_as_often_as_they_say(name):
     for runs, least in zip((5, 10, 20, 100), LEAST[name], strict=True):
         part, equal = covered(name, runs, samples=600)

@@ -148,19 +148,6 @@ def test_the_whole_of_it(sweeps, pretended, tmp_path, monkeypatch, painted):
     assert len(pretended.cells) == ran and numbers(out) == before
 
 
-def test_it_says_what_each_experiment_costs_and_what_came_of_it(
-    sweeps, pretended, unpainted, tmp_path, capsys
-):
-    out = tmp_path / "out"
-    reproduce(sweeps, out, ("pendulum", "cartpole"), quick=True, jobs=1)
-    lines = capsys.readouterr().err.splitlines()
-    told = "27 runs of 3 episodes, about 10 s where nothing is done yet"
-    assert f"fig5_1_pendulum, 1 of 2: {told}" in lines and f"fig5_4_cartpole, 2 of 2: {told}" in lines
-    assert lines[-1].startswith("Of ") and "are not tested" in lines[-1]
-    reproduce(sweeps, out, ("cartpole",), quick=True, jobs=1)
-    assert "fig5_4_cartpole, 1 of 1: 27 runs of 3 episodes, done" in capsys.readouterr().err.splitlines()
-
-
 @pytest.mark.parametrize(
     ("name", "jobs", "told"),
     [
@@ -175,12 +162,18 @@ def test_costs_of_whole_experiments(tmp_path, name, jobs, told):
     assert reproduce_module._cost(spec, tmp_path, jobs) == told
 
 
-def test_a_part_at_a_time(sweeps, pretended, unpainted, tmp_path):
-    """The report shows what there is, of earlier calls too."""
+def test_a_part_at_a_time(sweeps, pretended, unpainted, tmp_path, capsys):
+    """The report shows what there is, of earlier calls too; what each experiment costs is told, and what came of it."""
     out = tmp_path / "out"
+    told = "27 runs of 3 episodes, about 10 s where nothing is done yet"
     reproduce(sweeps, out, ("pendulum",), quick=True, jobs=1)
     assert set(pd.read_csv(out / "claims.csv")["part"]) == {"pendulum"}
-    reproduce(sweeps, out, ("cartpole",), quick=True, jobs=1)
+    assert f"fig5_1_pendulum, 1 of 1: {told}" in capsys.readouterr().err.splitlines()
+    reproduce(sweeps, out, ("pendulum", "cartpole"), quick=True, jobs=1)
+    lines = capsys.readouterr().err.splitlines()
+    assert "fig5_1_pendulum, 1 of 2: 27 runs of 3 episodes, done" in lines
+    assert f"fig5_4_cartpole, 2 of 2: {told}" in lines
+    assert lines[-1].startswith("Of ") and "are not tested" in lines[-1]
     assert set(pd.read_csv(out / "claims.csv")["part"]) == {"pendulum", "cartpole"}
     assert {cell.env for cell in pretended.cells} == {"pendulum", "cartpole"}
 

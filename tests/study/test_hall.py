@@ -261,6 +261,7 @@ def test_a_process_that_died(hall, tmp_path):
         replayed(folder)
 
 
+@pytest.mark.slow
 def test_several_at_once_are_the_same_alone(hall, tmp_path):
     pages = [Page(hall, tmp_path / f"{seed}", seed=seed) for seed in range(5)]
     draw = np.random.default_rng(0)
@@ -339,6 +340,7 @@ def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path):
         replayed(each.run.folder)
 
 
+@pytest.mark.slow
 def test_the_process_that_writes_may_die(hall, tmp_path):
     page = Page(hall, tmp_path / "run", episodes=1).goes()
     hall._clerk._process.kill()

@@ -549,7 +549,9 @@ class TestTogether:
             assert len(list((tmp_path / folder).iterdir())) == 1
         pd.testing.assert_frame_equal(read_episodes(tmp_path), frame)
 
-    @pytest.mark.parametrize("left", ["all", "the one put together before"])
+    @pytest.mark.parametrize(
+        "left", ["all", pytest.param("the one put together before", marks=pytest.mark.slow)]
+    )
     def test_a_kill_between_parts_that_were_put_together_before(self, tmp_path, monkeypatch, left):
         """What was put together before is replaced like any other part: its rows count once, and never double."""
         remove = Store._remove

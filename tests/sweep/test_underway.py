@@ -179,7 +179,7 @@ def test_what_is_not_ours_stays(case, killed):
     assert [path.name for path in (killed / CHECKPOINTS).iterdir()] == ["mine"]
 
 
-def test_policies_and_states(case, compiled_plainly):
+def test_policies_and_states(case):
     settings, reference, _ = case
     policies, states = load_policies(reference), load_states(reference)
     assert policies["episode"].tolist() == states["episode"].tolist() == [4, 8, 12] * settings["seeds"]
@@ -201,7 +201,7 @@ def test_policies_and_states(case, compiled_plainly):
         load_policies(reference, sead=1)
 
 
-def test_nothing_was_kept(tmp_path, compiled_plainly):
+def test_nothing_was_kept(tmp_path):
     settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 3}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_module, "Processes", Pretended())

@@ -54,6 +54,7 @@ def test_what_cannot_go_there_is_written_here(clerk, tmp_path, monkeypatch):
     assert written(clerk, tmp_path / "after") == clerk._process.pid
 
 
+@pytest.mark.slow
 def test_its_process_may_die(clerk, tmp_path):
     before = clerk._process.pid
     clerk._process.kill()

@@ -181,7 +181,7 @@ def test_what_is_given_beside_counts(course_of, capsys):
 
 
 @pytest.mark.parametrize("algo", built_in("learner"))
-@pytest.mark.parametrize("env", ["cartpole", "lunarlander"])
+@pytest.mark.parametrize("env", ["cartpole", pytest.param("lunarlander", marks=pytest.mark.slow)])
 def test_usual_settings_are_not_named(algo, env, tmp_path):
     saved(tmp_path / "kept", algo, env)
     assert of_saved(tmp_path / "kept", None, None)[1:] == (env, algo, {})
@@ -191,7 +191,7 @@ def test_usual_settings_are_not_named(algo, env, tmp_path):
     ("algo", "options"),
     [
         ("gpc", {"noise": 1e-5, "policy_nu": 2.5}),
-        ("gpc-ns", {"human_noise": 1e-5, "human_variance": 2.0}),
+        pytest.param("gpc-ns", {"human_noise": 1e-5, "human_variance": 2.0}, marks=pytest.mark.slow),
         ("coach", {"beta": 7.0, "coach_constant": 0.5}),
         ("d-coach", {"width": 8, "learning_rate": 0.1, "magnitude": 0.5}),
     ],

@@ -188,7 +188,21 @@ def test_map(held):
     assert all(drawn["y"] != 9 for drawn in held.messages("map"))
 
 
-def test_saved_and_opened(held):
+class WritesHere:
+    """In place of the process that writes: test_clerk.py has that, and the lesson above."""
+
+    write = staticmethod(lambda kept: kept.write())
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def writes_here(monkeypatch):
+    monkeypatch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
+
+
+def test_saved_and_opened(held, writes_here):
     first = held.lesson.folder
     held.press(13)
     held.wait("advised")
@@ -237,7 +251,7 @@ def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, mo
     ("algo", "setting"),
     [("gpc", "constant_rate"), pytest.param("d-coach", "learning_rate", marks=pytest.mark.slow)],
 )
-def test_begun_anew_with_another_learner(held, algo, setting):
+def test_begun_anew_with_another_learner(held, writes_here, algo, setting):
     first, number = held.lesson.folder.name.rsplit("-", 1)
     held.ask("learner", name=algo, settings={setting: 0.1})
     task = held.wait("task", seconds=120)
@@ -254,22 +268,12 @@ def test_two_lessons_in_one_folder(held):
     assert "in use" in str(other.failure) or "writes" in str(other.failure) or "another" in str(other.failure)
 
 
-class WritesHere:
-    """In place of the process that writes: test_clerk.py has that, and the lesson above."""
-
-    write = staticmethod(lambda kept: kept.write())
-
-    def close(self):
-        pass
-
-
 class TestFailing:
     """Code of a person's own that fails on the way: it is said, the lesson rests, and goes on."""
 
     @pytest.fixture
-    def begun(self, tmp_path, monkeypatch, small_dictionaries):
+    def begun(self, tmp_path, writes_here, small_dictionaries):
         begun = []
-        monkeypatch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
 
         def begin(**words):
             begun.append(Held(tmp_path / f"taught-{len(begun)}", **words))

@@ -45,8 +45,16 @@ def near(count, probability, draws):
     assert abs(count - probability * draws) < 5 * np.sqrt(draws * probability * (1 - probability)) + 1e-9
 
 
+FEW = (0.0, 0.1), (0.05, 0.0), (0.05, 0.1), (0.5, 0.5), (1.0, 1.0)
+"""One of each kind: who is silent, right, as usual, no better than chance, and wrong."""
+
+
 @pytest.mark.parametrize(
-    ("rate", "error"), list(itertools.product([0.0, 0.05, 0.5, 1.0], [0.0, 0.1, 0.5, 1.0]))
+    ("rate", "error"),
+    [
+        pytest.param(*pair, marks=[] if pair in FEW else [pytest.mark.slow])
+        for pair in itertools.product([0.0, 0.05, 0.5, 1.0], [0.0, 0.1, 0.5, 1.0])
+    ],
 )
 def test_frequencies_of_algorithm_4(rate, error):
     """Advice with chance gamma, of which a share e is wrong: in each action dimension."""
@@ -65,7 +73,7 @@ def test_the_sign_is_that_of_the_gap():
     assert (advise(wrong, coins(), 0.5) == -1).all() and (advise(wrong, coins(), -0.5) == 1).all()
 
 
-@pytest.mark.parametrize("delta", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("delta", [0.0, 0.05, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_within_delta_it_is_silent(delta):
     """Also where an error would have been made."""
     oracle = make(rate=1.0, error=0.5, delta=delta)
