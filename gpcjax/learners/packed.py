@@ -38,7 +38,8 @@ from gpcjax.learners.recipes import (
     recipe_of,
     template_of_own,
 )
-from gpcjax.policies.folder import FORMAT, first_line
+from gpcjax.policies.checkpoint import first_line
+from gpcjax.policies.folder import FORMAT
 
 _SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
 """The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""

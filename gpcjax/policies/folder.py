@@ -7,17 +7,13 @@ folder/SHA256SUMS    of all these files, as `sha256sum -c` reads it; folders of 
 No file runs code when it is read, and none can make its reader take more memory than the files themselves ask for.
 """
 
-import contextlib
 import hashlib
 import json
 import math
 import os
-import re
 import shutil
-import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +21,7 @@ import numpy as np
 
 from gpcjax.allowed import checked_path, is_no_data
 from gpcjax.errors import UserError, unwritten
+from gpcjax.policies.checkpoint import first_line, forget_place, save_arrays, stored_arrays
 
 FORMAT = 2
 FORMATS = (1, 2)
@@ -33,14 +30,6 @@ LARGEST_CARD = 2**22
 """Bytes."""
 LARGEST_ARRAY = 2**28
 """Numbers: two gigabytes."""
-
-_OS_ERROR = re.compile(r"\[os_error_code='(\d{1,4})'\]")
-"""How tensorstore says why the system refused something, at the end of a very long line."""
-
-_ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
-"""The file with which an array says what it is, and the driver that reads one of its kind."""
-
-Shapes = Mapping[str, tuple[int, ...]]
 
 
 def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
@@ -60,8 +49,8 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         try:
-            _save_arrays(scratch / ARRAYS, arrays)
-            _forget_place(scratch / ARRAYS)
+            save_arrays(scratch / ARRAYS, arrays)
+            forget_place(scratch / ARRAYS)
             (scratch / CARD).write_bytes(text)
             sums = "".join(f"{_sum(scratch / name)}  {name}\n" for name in _names(scratch))
             (scratch / SUMS).write_text(sums, encoding="ascii")
@@ -74,59 +63,6 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
     except OSError as error:
         told = error.strerror or first_line(error)
         raise unwritten(error, f"{path}: it cannot be written there ({told}), give another path") from None
-
-
-def _save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full."""
-    why = None
-    with _quietly():
-        try:
-            with _checkpointer() as checkpointer:
-                checkpointer.save(folder.absolute(), dict(arrays))
-        except Exception as error:
-            found = _OS_ERROR.search(str(error))
-            number = int(found[1]) if found else getattr(error, "errno", None) or 0
-            why = OSError(number, os.strerror(number) if number else first_line(error))
-            _settle(folder)
-    if why is not None:
-        _drop_late_words()
-        raise why
-
-
-def _settle(folder: Path) -> None:
-    """Removes what was not written whole: threads that wrote other arrays go on for a moment, and make it anew."""
-    gone = 0
-    for _ in range(100):
-        there = os.path.lexists(folder.parent)
-        gone = 0 if there else gone + 1
-        if gone > 5:
-            return
-        shutil.rmtree(folder.parent, ignore_errors=True)
-        time.sleep(0.01)
-
-
-class _Without:
-    """Hears what Python cannot raise, as the hook before it does, but for the late words of such threads."""
-
-    def __init__(self, before: Callable[[Any], Any]):
-        self._before = before
-
-    def __call__(self, ignored: Any) -> None:
-        if str(ignored.exc_value) != "Event loop is closed":
-            self._before(ignored)
-
-
-def _drop_late_words() -> None:
-    """Those threads want to tell of their ends, where nobody hears them any more: Python would print it for each."""
-    if not isinstance(sys.unraisablehook, _Without):
-        sys.unraisablehook = _Without(sys.unraisablehook)
-
-
-def _forget_place(arrays: Path) -> None:
-    """Takes out of a checkpoint where it was written: that is nobody's business who gets it, and no longer true."""
-    marker = arrays / "commit_success.txt"
-    if marker.exists():
-        marker.write_text("Checkpoint commit was successful", encoding="ascii")
 
 
 def read_card(path: Any, what: str) -> dict[str, Any]:
@@ -172,47 +108,11 @@ def read_arrays(path: Any, card: Mapping[str, Any], what: str) -> dict[str, np.n
     """
     folder = checked_path("path", path) / ARRAYS
     shapes = _shapes(card, folder.parent / CARD, what)
-    arrays, wrong = _stored(folder, shapes)
+    arrays, wrong = stored_arrays(folder, shapes)
     # Raised where no exception of tensorstore's is around, which says the same at length.
     if wrong:
         raise UserError(f"{folder}: the arrays of this {what} cannot be read ({wrong})")
     return arrays
-
-
-def _stored(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
-    """The arrays of a checkpoint, and what is wrong with them.
-
-    Read by tensorstore, which orbax writes them with: orbax itself loads jax, and takes half a second to do it.
-    """
-    import tensorstore  # only where a folder is read
-
-    try:
-        place = {"driver": "ocdbt", "base": {"driver": "file", "path": f"{folder.absolute()}/"}}
-        keys = [key.decode() for key in tensorstore.KvStore.open(place).result().list().result()]
-        formats = {
-            name: _ZARR[file] for name, _, file in (key.rpartition("/") for key in keys) if file in _ZARR
-        }
-        asked = {
-            name: tensorstore.open(
-                {"driver": driver, "kvstore": {**place, "path": f"{name}/"}}, open=True, read=True
-            )
-            for name, driver in formats.items()
-        }
-        arrays = {name: each.result() for name, each in asked.items()}
-        # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
-        found = {name: tuple(array.shape) for name, array in arrays.items()}
-        if found != dict(shapes):
-            return {}, f"the card names arrays of shapes {dict(shapes)}, these have {found}"[:200]
-        read = {name: array.read() for name, array in arrays.items()}
-        return {name: np.asarray(read[name].result()) for name in shapes}, ""
-    except Exception as error:  # tensorstore and the file system each have their own
-        return {}, first_line(error)
-
-
-def first_line(error: BaseException) -> str:
-    """What an exception says, short."""
-    line = next(iter(str(error).splitlines()), "")
-    return (line or type(error).__name__)[:200]
 
 
 def _shapes(card: Mapping[str, Any], file: Path, what: str) -> dict[str, tuple[int, ...]]:
@@ -321,27 +221,3 @@ def _to_disk(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _quietly() -> Iterator[None]:
-    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
-    import logging
-    import warnings
-
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        sys.unraisablehook = hook
-        logging.disable(before)
-
-
-def _checkpointer() -> Any:
-    import orbax.checkpoint  # costs more than everything else here: only where a folder is written
-
-    return orbax.checkpoint.StandardCheckpointer()

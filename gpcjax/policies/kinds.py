@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gpcjax.gp.smoothness import SMOOTHNESSES, SQUARED_EXPONENTIAL
-from gpcjax.policies.folder import Shapes
+from gpcjax.policies.checkpoint import Shapes
 from gpcjax.policies.plain import Plain, PlainGrid, PlainKernel, PlainNetwork
 
 MOST_LAYERS = 64

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from gpcjax.errors import UserError
-from gpcjax.policies.folder import CARD, FORMAT, FORMATS, Shapes, read_arrays, read_card, write_folder
+from gpcjax.policies.checkpoint import Shapes
+from gpcjax.policies.folder import CARD, FORMAT, FORMATS, read_arrays, read_card, write_folder
 from gpcjax.policies.kinds import KINDS, Arrays, Kind, Settings
 from gpcjax.policies.kinds import Unfit as Unfit
 from gpcjax.policies.policy import Controller, Policy

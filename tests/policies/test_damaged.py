@@ -15,7 +15,7 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
-from gpcjax.policies import folder
+from gpcjax.policies import checkpoint, folder
 from gpcjax.policies.saved import load_policy, shipped_path
 
 
@@ -133,7 +133,7 @@ def test_words_of_a_thread_that_nobody_hears_are_dropped_and_all_others_told(mon
     heard = []
     monkeypatch.setattr(sys, "unraisablehook", lambda ignored: heard.append(str(ignored.exc_value)))
     for _ in range(2):
-        folder._drop_late_words()
+        checkpoint._drop_late_words()
     for text in ("Event loop is closed", "mine"):
         sys.unraisablehook(SimpleNamespace(exc_value=RuntimeError(text)))
     assert heard == ["mine"]

@@ -216,8 +216,15 @@ def test_fingers_and_a_gamepad(opened, lesson):
         page.evaluate(f"window.pad.{hold}")
         _until(lambda more=more: _shown(page, "corrections") >= more, 60)
         page.evaluate(f"window.pad.{leave}")
-    page.evaluate("window.pad.buttons[0].pressed = true")
-    _until(lambda: page.evaluate(PHASE) == "paused", 60)
+
+    def paused():
+        """By the button, which goes on instead where an episode has just ended: then it is pressed again."""
+        for pressed in ("false", "true"):
+            page.evaluate(f"window.pad.buttons[0].pressed = {pressed}")
+            time.sleep(0.3)
+        return page.evaluate(PHASE) == "paused"
+
+    _until(paused, 60)
     before = _settled(page, "corrections")
     page.evaluate("window.pad.buttons[1].pressed = true")
     _until(lambda: _shown(page, "corrections") == before - 1, 60)

@@ -1,0 +1,134 @@
+"""Named arrays in a checkpoint of orbax's, which tensorstore reads; silently, and wrong in one way only."""
+
+import contextlib
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+_OS_ERROR = re.compile(r"\[os_error_code='(\d{1,4})'\]")
+"""How tensorstore says why the system refused something, at the end of a very long line."""
+
+_ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
+"""The file with which an array says what it is, and the driver that reads one of its kind."""
+
+
+def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full."""
+    why = None
+    with _quietly():
+        try:
+            with _checkpointer() as checkpointer:
+                checkpointer.save(folder.absolute(), dict(arrays))
+        except Exception as error:
+            found = _OS_ERROR.search(str(error))
+            number = int(found[1]) if found else getattr(error, "errno", None) or 0
+            why = OSError(number, os.strerror(number) if number else first_line(error))
+            _settle(folder)
+    if why is not None:
+        _drop_late_words()
+        raise why
+
+
+def _settle(folder: Path) -> None:
+    """Removes what was not written whole: threads that wrote other arrays go on for a moment, and make it anew."""
+    gone = 0
+    for _ in range(100):
+        there = os.path.lexists(folder.parent)
+        gone = 0 if there else gone + 1
+        if gone > 5:
+            return
+        shutil.rmtree(folder.parent, ignore_errors=True)
+        time.sleep(0.01)
+
+
+class _Without:
+    """Hears what Python cannot raise, as the hook before it does, but for the late words of such threads."""
+
+    def __init__(self, before: Callable[[Any], Any]):
+        self._before = before
+
+    def __call__(self, ignored: Any) -> None:
+        if str(ignored.exc_value) != "Event loop is closed":
+            self._before(ignored)
+
+
+def _drop_late_words() -> None:
+    """Those threads want to tell of their ends, where nobody hears them any more: Python would print it for each."""
+    if not isinstance(sys.unraisablehook, _Without):
+        sys.unraisablehook = _Without(sys.unraisablehook)
+
+
+def forget_place(arrays: Path) -> None:
+    """Takes out of a checkpoint where it was written: that is nobody's business who gets it, and no longer true."""
+    marker = arrays / "commit_success.txt"
+    if marker.exists():
+        marker.write_text("Checkpoint commit was successful", encoding="ascii")
+
+
+def stored_arrays(folder: Path, shapes: Shapes) -> tuple[dict[str, np.ndarray], str]:
+    """The arrays of a checkpoint, and what is wrong with them.
+
+    Read by tensorstore, which orbax writes them with: orbax itself loads jax, and takes half a second to do it.
+    """
+    import tensorstore  # only where a folder is read
+
+    try:
+        place = {"driver": "ocdbt", "base": {"driver": "file", "path": f"{folder.absolute()}/"}}
+        keys = [key.decode() for key in tensorstore.KvStore.open(place).result().list().result()]
+        formats = {
+            name: _ZARR[file] for name, _, file in (key.rpartition("/") for key in keys) if file in _ZARR
+        }
+        asked = {
+            name: tensorstore.open(
+                {"driver": driver, "kvstore": {**place, "path": f"{name}/"}}, open=True, read=True
+            )
+            for name, driver in formats.items()
+        }
+        arrays = {name: each.result() for name, each in asked.items()}
+        # What the arrays say of themselves comes first: nothing is made in a size that the card alone names.
+        found = {name: tuple(array.shape) for name, array in arrays.items()}
+        if found != dict(shapes):
+            return {}, f"the card names arrays of shapes {dict(shapes)}, these have {found}"[:200]
+        read = {name: array.read() for name, array in arrays.items()}
+        return {name: np.asarray(read[name].result()) for name in shapes}, ""
+    except Exception as error:  # tensorstore and the file system each have their own
+        return {}, first_line(error)
+
+
+def first_line(error: BaseException) -> str:
+    """What an exception says, short."""
+    line = next(iter(str(error).splitlines()), "")
+    return (line or type(error).__name__)[:200]
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
+    import logging
+    import warnings
+
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        sys.unraisablehook = hook
+        logging.disable(before)
+
+
+def _checkpointer() -> Any:
+    import orbax.checkpoint  # costs more than everything else here: only where a folder is written
+
+    return orbax.checkpoint.StandardCheckpointer()
