@@ -231,6 +231,16 @@ def compiled_programs(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", autouse=True)
+def environment_of_others():
+    """What a module leaves in the environment, as a command does that computes in its own process, ends with it."""
+    before = dict(os.environ)
+    yield
+    for name in os.environ.keys() - before.keys():
+        del os.environ[name]
+    os.environ.update(before)
+
+
+@pytest.fixture(scope="module", autouse=True)
 def settings_of_jax(request):
     """Those that this module needs."""
     name = request.node.nodeid.removeprefix("tests/")
