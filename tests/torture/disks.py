@@ -10,14 +10,12 @@ behind.
 """
 
 import argparse
-import collections
 import contextlib
 import os
 import shutil
 import signal
 import sys
 import tempfile
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -32,7 +30,7 @@ from gpcjax.sweep import run as run_module
 from gpcjax.sweep.layout import EPISODES, MANIFEST
 from gpcjax.sweep.reading import read, read_kept
 from tests.sweep.pretended import Pretended
-from tests.torture.disk import Disk, in_private, obey_permissions
+from tests.torture.disk import Disk, count, in_private, obey_permissions
 from tests.torture.folders import OTHER, assert_same, finished
 from tests.torture.shards import sharded
 
@@ -279,15 +277,8 @@ def main() -> int:
     parser.add_argument("--command", choices=tuple(COMMANDS), help="this one alone")
     arguments = parser.parse_args()
     in_private("tests.torture.disks")
-    began, counts = time.monotonic(), collections.Counter()
     chosen = tuple(COMMANDS) if arguments.command is None else (arguments.command,)
-    for name, status, why in torture(arguments.cases, arguments.seed, chosen):
-        counts[status or "WRONG"] += 1
-        if status is None:
-            print(f"{name}\n{why}", flush=True)
-    kinds = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    print(f"spoiled disks: {counts.total()} in {time.monotonic() - began:.0f} s: {kinds}", flush=True)
-    return min(counts["WRONG"], 99)
+    return count("spoiled disks", torture(arguments.cases, arguments.seed, chosen))
 
 
 if __name__ == "__main__":

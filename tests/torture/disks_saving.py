@@ -7,7 +7,6 @@ and no word of orbax's or tensorstore's.
 """
 
 import argparse
-import collections
 import contextlib
 import os
 import sys
@@ -20,7 +19,7 @@ import numpy as np
 
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
-from tests.torture.disk import Disk, in_private
+from tests.torture.disk import Disk, count, in_private
 
 KIND = "checkpoint"
 
@@ -83,14 +82,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     in_private("tests.torture.disks_saving")
-    began, counts = time.monotonic(), collections.Counter()
-    for name, status, why in torture(arguments.cases, arguments.seed):
-        counts[status or "WRONG"] += 1
-        if status is None:
-            print(f"{name}\n{why}", flush=True)
-    kinds = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    print(f"saved on full disks: {counts.total()} in {time.monotonic() - began:.0f} s: {kinds}", flush=True)
-    return min(counts["WRONG"], 99)
+    return count("saved on full disks", torture(arguments.cases, arguments.seed))
 
 
 if __name__ == "__main__":

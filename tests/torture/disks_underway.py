@@ -8,7 +8,6 @@ never disturbed, and with all that it kept, to the bit. `tests.torture.disks` ha
 """
 
 import argparse
-import collections
 import contextlib
 import os
 import shutil
@@ -25,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from tests.sweep.processes import alive, workers_of
-from tests.torture.disk import Disk, in_private, obey_permissions
+from tests.torture.disk import Disk, count, in_private, obey_permissions
 from tests.torture.kills import PATIENCE, ROOT, content_of, same
 
 SWEEP = (
@@ -120,15 +119,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     in_private("tests.torture.disks_underway")
-    began, counts = time.monotonic(), collections.Counter()
-    for name, status, why in torture(arguments.cases, arguments.seed):
-        counts[status or "WRONG"] += 1
-        if status is None:
-            print(f"{name}\n{why}", flush=True)
-    kinds = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    took = time.monotonic() - began
-    print(f"spoiled disks of real sweeps: {counts.total()} in {took:.0f} s: {kinds}", flush=True)
-    return min(counts["WRONG"], 99)
+    return count("spoiled disks of real sweeps", torture(arguments.cases, arguments.seed))
 
 
 if __name__ == "__main__":
