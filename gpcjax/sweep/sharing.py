@@ -22,8 +22,9 @@ class Sharing:
 
     A worker compiles a program, then takes cells of it, a few at a time, until there are none: first those of the first
     seed, so that the runs which are over, of which tables are made and times reckoned, are a sample of all. Programs go
-    out in their order, each to a worker of its own; a worker that finds none left joins the one with most cells to do,
-    where they are worth compiling it once more.
+    out one after the other, those first that usually take longest, each to a worker of its own: in the end nobody waits
+    for one that was begun late. A worker that finds none left joins the one with most cells to do, where they are worth
+    compiling it once more.
 
     Where machines differ, one that has nothing left takes copies of what another one has had for longest: nobody waits
     for a slow one, or for one that hangs. The rows that come first count.
@@ -35,10 +36,13 @@ class Sharing:
     """
 
     def __init__(self, cells: Iterable[Cell], workers: int, before: Before = lambda programs: {}):
-        self._left: dict[Program, deque[Cell]] = {}
+        left: dict[Program, deque[Cell]] = {}
         for cell in sorted(cells, key=lambda cell: cell.seed):
-            self._left.setdefault(program_of(cell), deque()).append(cell)
-        self._sizes = {program: len(cells) for program, cells in self._left.items()}
+            left.setdefault(program_of(cell), deque()).append(cell)
+        self._sizes = {program: len(cells) for program, cells in left.items()}
+        works = works_of(self._sizes, before(self._sizes))
+        longest_first = sorted(works, key=lambda program: -works[program].usual_whole)
+        self._left = {program: left[program] for program in longest_first}
         self._workers = workers
         self._at: dict[int, Program] = {}
         """The program that each worker has."""
@@ -52,8 +56,9 @@ class Sharing:
         """Cells that a worker still has, and another one has brought back."""
         self._stepping: set[int] = set()
         """Workers that have made a step in their programs."""
-        self.works = works_of(self._sizes, before(self._sizes))
-        """The state of each program; what is reckoned by time is filled in by who keeps the time."""
+        self.works = {program: works[program] for program in longest_first}
+        """The state of each program, in the order in which they go out; what is reckoned by time is filled in by who
+        keeps the time."""
 
     @property
     def left(self) -> int:

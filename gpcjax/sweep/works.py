@@ -110,6 +110,11 @@ class Work:
         )
 
     @property
+    def usual_whole(self) -> float:
+        """Seconds that one worker alone would usually take for it, from compiling to its last cell."""
+        return self.usual_compiling + self.cells * self.episodes * self.usual_episode
+
+    @property
     def took(self) -> Cost | None:
         """What the program took of a core; None if too little of it was done to tell."""
         if self.done < LEAST_DONE or not self.done_episodes or not self.joined:

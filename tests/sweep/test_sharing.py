@@ -10,6 +10,7 @@ from gpcjax.sweep.crowd import USUAL_PIECE
 from gpcjax.sweep.estimate import JOIN
 from gpcjax.sweep.executors import Desk, Totals
 from gpcjax.sweep.executors import desk as desk_module
+from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing
 from gpcjax.sweep.spec import spec_of
@@ -34,6 +35,24 @@ def test_each_worker_has_a_program_of_its_own_and_joins_only_where_it_is_worth_i
     assert sharing.next_program(0) is None  # too few are left to compile them a third time
     assert sharing.next_program(1) is None and sharing.at(2) == program_of(large[0])
     assert left.workers == 1 and left.joined == 2
+
+
+def test_what_takes_longest_goes_out_first():
+    """The other worker goes through the short ones meanwhile; as they were asked for, it would wait in the end."""
+    asked = cells(seeds=100, algo=["coach", "gpc", "gpc-ns"])
+    sharing = Sharing(asked, workers=2)
+    assert [sharing.next_program(worker).algo for worker in (0, 1)] == ["gpc-ns", "gpc"]
+    while sharing.next_cells(1):
+        pass
+    assert sharing.next_program(1).algo == "coach"
+    assert [work.algo for work in sharing.works.values()] == ["gpc-ns", "gpc", "coach"]
+
+
+def test_how_long_is_known_from_the_last_time():
+    asked = cells(seeds=4)
+    coach = program_of(asked[-1])
+    sharing = Sharing(asked, workers=1, before=lambda programs: {coach: Cost(1.0, 1.0, 4, 1)})
+    assert sharing.next_program(0).algo == "coach"
 
 
 def test_shares_shrink_towards_the_end():
