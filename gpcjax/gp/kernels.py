@@ -94,14 +94,16 @@ class Kernel(eqx.Module):
         Distances come from differences: the dot-product form loses half of the digits for near repeats.
         """
         factor = scale * self.inverse_length
-        squared = sum_of_squares((points[:, i] - point[i]) * factor[i] for i in range(points.shape[1]))
-        return self.variance * correlation(squared, self.smoothness)
+        return self.of_differences((points[:, i] - point[i]) * factor[i] for i in range(points.shape[1]))
 
     def gram(self, points: Float[Array, "n d"], scale: Float[Array, " d"]) -> Float[Array, "n n"]:
         """k(x_i, x_j) for all pairs of rows."""
         columns = (points * (scale * self.inverse_length)[None]).T
-        squared = sum_of_squares(column[:, None] - column[None] for column in columns)
-        return self.variance * correlation(squared, self.smoothness)
+        return self.of_differences(column[:, None] - column[None] for column in columns)
+
+    def of_differences(self, differences: Iterable[Float[Array, "*shape"]]) -> Float[Array, "*shape"]:
+        """The covariances of pairs that differ so in each dimension, of inputs that are multiplied already."""
+        return self.variance * correlation(sum_of_squares(differences), self.smoothness)
 
 
 def sum_of_squares(differences: Iterable[Float[Array, "*shape"]]) -> Float[Array, "*shape"]:

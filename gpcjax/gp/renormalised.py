@@ -11,20 +11,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
-from gpcjax.gp import cholesky, tiles
+from gpcjax.gp import cholesky, tiled
 from gpcjax.gp.batching import together
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior, empty, small, take
 from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
 
-_SIZES = (
-    *(16, 32, 48, 64, 96, 128, 192, 256, 384),
-    *(quarter << octave for octave in range(7, 20) for quarter in (4, 5, 6, 7)),
-)
-"""Leading rows that are factorised alone; finer from 512 on, where a factor takes longer than to compile it."""
+_TILED = (128, 512)
+"""Rooms of matrices that are factorised tile by tile, as many as are in use: what they cost beside is to be zeroed."""
+
+_WHOLE = tuple(quarter << octave for octave in range(7, 20) for quarter in (5, 6, 7, 8))
+"""Leading rows that LAPACK factorises, where it is faster; finer than doubling, as that takes longer than compiling."""
 
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
@@ -61,12 +61,10 @@ class Renewed(Change):
 
 
 class Renormalised(GaussianProcess):
-    """The model; `matrix` is the Cholesky factor L, n times n.
+    """The model. It keeps no `matrix` (0 times 0): a factor is made where it is asked for, as each point changes it.
 
-    `keeps_weights` says whether the mean is wanted. Static. Without, there is no factor either (0 times 0): such a
-    model, of the human, is only asked before a correction, which changes all of its factor, and makes it then.
-    `scaling` is what normalised inputs are multiplied by, one factor for each dimension, or None: then a program
-    compiles to what it is without.
+    `keeps_weights` says whether the mean is wanted. Static. `scaling` is what normalised inputs are multiplied by, one
+    factor for each dimension, or None: then a program compiles to what it is without.
     """
 
     kernel: Kernel
@@ -77,18 +75,14 @@ class Renormalised(GaussianProcess):
 
     def init(self, capacity: int, scale: Float[Array, " d"]) -> Posterior:
         """The empty dictionary; its scale is `scaling`, or 1, until points vary."""
-        return empty(
-            capacity, self._scaled(jnp.ones_like(scale)), jnp.eye(capacity if self.keeps_weights else 0)
-        )
+        return empty(capacity, self._scaled(jnp.ones_like(scale)), jnp.zeros((0, 0)))
 
     def explained(
         self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:
-        """|L^-1 k|^2."""
-        if not self.keeps_weights:
-            return self._explained_anew(small(posteriors, place), covariances)
-        whitened = cholesky.solve(tiles.take(posteriors.matrix, place), covariances)
-        return (whitened * whitened).sum()
+        """k^T (K + noise I)^-1 k."""
+        data = small(posteriors, place)
+        return _leading(self, _explained, data, data.scale, covariances)
 
     def read(
         self,
@@ -123,84 +117,95 @@ class Renormalised(GaussianProcess):
         """As after every point."""
         return self._refactored(data)
 
-    def grow_matrix(self, matrix: cholesky.Square, old: int, capacity: int) -> Float[Array, "m m"]:
-        """The factor with a unit diagonal on the new rows, if there is one."""
-        if not self.keeps_weights:
-            return matrix
-        unused = jnp.diag((jnp.arange(capacity) >= old).astype(matrix.dtype))
-        return jnp.pad(matrix, (0, capacity - old)) + unused
+    def grow_matrix(self, matrix: Float[Array, "0 0"], old: int, capacity: int) -> Float[Array, "0 0"]:
+        """There is none."""
+        return matrix
 
     def _refactored(self, data: Posterior) -> Posterior:
         scale = self._scaled(normalising_scale(data.points, data.active))
         if not self.keeps_weights:
             return dataclasses.replace(data, scale=scale)
-        lower, weights = _switch_leading(
-            data.capacity, data.count, Renormalised._solve_leading, self, data, scale
-        )
-        return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
+        weights = _leading(self, _weights, data, scale, data.targets)
+        return dataclasses.replace(data, scale=scale, weights=weights)
 
     def _scaled(self, scale: Float[Array, " d"]) -> Float[Array, " d"]:
         return scale if self.scaling is None else scale * self.scaling
 
-    def _factor_leading(self, size: int, data: Posterior, scale: Float[Array, " d"]) -> Float[Array, "m m"]:
-        """From the first `size` rows, which hold all points in use."""
-        return cholesky.factor(self.kernel.gram(data.points[:size], scale), data.active[:size], self.noise)
 
-    def _solve_leading(
-        self, size: int, data: Posterior, scale: Float[Array, " d"]
-    ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
-        """Factor and weights."""
-        lower = self._factor_leading(size, data, scale)
-        solved = cholesky.solve(lower, data.targets[:size])
-        weights = data.weights.at[:size].set(cholesky.solve(lower, solved, transpose=True))
-        return jnp.eye(data.capacity).at[:size, :size].set(lower), weights
+class _Problem(eqx.Module):
+    """The Gram matrix of a dictionary and a vector v; both have zeros where there is no point."""
 
-    def _explained_anew(self, data: Posterior, covariances: Float[Array, " n"]) -> Float[Array, ""]:
-        """|L^-1 k|^2, from a factor that is used once."""
-        return _switch_leading(
-            data.capacity, data.count, Renormalised._explain_leading, self, data, covariances
-        )
+    kernel: Kernel
+    noise: Float[Array, ""]
+    points: Float[Array, "n d"]
+    count: Int[Array, ""]
+    scale: Float[Array, " d"]
+    vector: Float[Array, " n"]
 
-    def _explain_leading(
-        self, size: int, data: Posterior, covariances: Float[Array, " n"]
-    ) -> Float[Array, ""]:
-        """|L^-1 k|^2 of the first `size` rows."""
-        whitened = cholesky.solve(self._factor_leading(size, data, data.scale), covariances[:size])
-        return (whitened * whitened).sum()
+    def leading(self, size: int) -> "_Problem":
+        """Its first rows, which hold all points in use."""
+        return dataclasses.replace(self, points=self.points[:size], vector=self.vector[:size])
+
+    def tiled(self) -> tiled.Factor:
+        return tiled.factor(self.kernel, self.points, self.scale, self.count, self.noise, self.vector)
+
+    def whole(self) -> tuple[cholesky.Square, Float[Array, " n"]]:
+        """L of all rows, and L^-1 v."""
+        active = jnp.arange(len(self.points)) < self.count
+        lower = cholesky.factor(self.kernel.gram(self.points, self.scale), active, self.noise)
+        return lower, cholesky.solve(lower, self.vector)
 
 
-def _switch_leading(
-    capacity: int,
-    count: Int[Array, ""],
-    function: Callable[..., PyTree],
+def _explained(problem: _Problem, by_tiles: bool) -> Float[Array, ""]:
+    """v^T (K + noise I)^-1 v."""
+    whitened = problem.tiled().whitened if by_tiles else problem.whole()[1]
+    return (whitened * whitened).sum()
+
+
+def _weights(problem: _Problem, by_tiles: bool) -> Float[Array, " n"]:
+    """(K + noise I)^-1 v."""
+    if by_tiles:
+        return problem.tiled().solved()[: len(problem.points)]
+    lower, whitened = problem.whole()
+    return cholesky.solve(lower, whitened, transpose=True)
+
+
+def _leading(
     process: Renormalised,
-    *operands: PyTree,
-) -> PyTree:
-    """`function(process, size, *operands)` with the smallest of a few sizes that holds all points.
+    function: Callable[[_Problem, bool], Float[Array, "..."]],
+    data: Posterior,
+    scale: Float[Array, " d"],
+    vector: Float[Array, " n"],
+) -> Float[Array, "..."]:
+    """`function` of the smallest of a few leading parts of a dictionary that holds all points.
 
     Under `vmap` one lane after the other, each with its own size: in one go all lanes would be factorised at all
-    sizes. 64 lanes of capacity 64 learned 1,900 corrections a second like this and 1,000 in one go (there on one
-    thread, where that does not hang; 16 lanes: 1,200 and 860; a busy machine of two cores). On an accelerator all lanes
-    at once, with their empty rows.
+    sizes. On an accelerator all lanes at once, with their empty rows.
     """
+    capacity = data.capacity
+    problem = _Problem(process.kernel, process.noise, data.points, data.count, scale, vector)
     if together():
-        return function(process, capacity, *operands)
+        return function(problem, False)
     sizes = _leading_sizes(capacity)
 
     @cholesky.one_at_a_time
-    def choose(count: Int[Array, ""], process: Renormalised, operands: tuple[PyTree, ...]) -> PyTree:
-        def at(size: int) -> Callable[..., PyTree]:
-            return lambda process, operands: function(process, size, *operands)
+    def choose(problem: _Problem) -> Float[Array, "..."]:
+        def at(size: int) -> Callable[[_Problem], Float[Array, "..."]]:
+            def leading(problem: _Problem) -> Float[Array, "..."]:
+                result = function(problem.leading(size), size <= _TILED[-1])
+                return jnp.pad(result, (0, capacity - size)) if result.ndim else result
 
-        index = jnp.searchsorted(jnp.array(sizes), count)
-        return lax.switch(index, [at(size) for size in sizes], process, operands)
+            return leading
 
-    return choose(count, process, operands)
+        index = jnp.searchsorted(jnp.array(sizes), problem.count)
+        return lax.switch(index, [at(size) for size in sizes], problem)
+
+    return choose(problem)
 
 
 def _leading_sizes(capacity: int) -> tuple[int, ...]:
-    """Sizes for dictionaries that have not filled their room: from a sixth of it on."""
-    return (*[size for size in _SIZES if capacity / 6 <= size < capacity], capacity)
+    """Sizes for dictionaries that have not filled their room: from a quarter of it on."""
+    return (*[size for size in (*_TILED, *_WHOLE) if capacity / 4 <= size < capacity], capacity)
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:

@@ -22,6 +22,9 @@ from tests.trees import assert_same_bits
 ROOT = Path(__file__).parents[2]
 LANES = 16
 
+CAPACITY = 768
+"""Of dictionaries of which some are factorised tile by tile, and large ones by LAPACK."""
+
 
 def equations(jaxpr):
     """Of a program and of all that it calls."""
@@ -43,7 +46,7 @@ def stacked(tree, *shape):
 
 def programs():
     """What is batched, by name: the function of one lane and its arguments."""
-    learner = make_learner("gpc-ns", "cartpole", capacity=64)
+    learner = make_learner("gpc-ns", "cartpole", capacity=CAPACITY)
     state, obs, one = learner.init(), jnp.zeros(4), jnp.ones(1)
     points, targets = jnp.arange(12.0).reshape(6, 2), jnp.arange(6.0)
 
@@ -56,9 +59,9 @@ def programs():
 
     def of_learner(noise):
         """Hyperparameters are leaves: a grid of them is a batch too."""
-        process = make_learner("gpc-ns", "cartpole", capacity=64).policy
+        process = make_learner("gpc-ns", "cartpole", capacity=CAPACITY).policy
         process = jax.tree.map(lambda leaf: leaf * noise, process)
-        posterior = process.init(64, jnp.ones(4))
+        posterior = process.init(CAPACITY, jnp.ones(4))
         index = jnp.zeros((), jnp.int32)
         reading = process.read(posterior, (), process.covariances(posterior, obs))
         return process.put(posterior, (), reading, obs, noise, index, jnp.array(True))
@@ -94,7 +97,7 @@ def test_no_kernel_is_given_a_batch(name, axes):
     assert kernels and all(variable.aval.ndim == 2 for each in kernels for variable in each.invars)
     if name in ("correct", "uncertainty", "scan", "hyperparameters"):
         sizes = [len(each.params["branches"]) for each in found if each.primitive.name == "cond"]
-        assert max(sizes) == len(_leading_sizes(64)) > 2
+        assert max(sizes) == len(_leading_sizes(CAPACITY)) > 2
 
 
 @pytest.mark.slow
