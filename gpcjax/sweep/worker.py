@@ -22,6 +22,8 @@ from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.sweep.build import make_pool
+from gpcjax.sweep.digests import ENTRY as DIGESTS
+from gpcjax.sweep.digests import refuse_other_code
 from gpcjax.sweep.environment import programs_folder, refuse_another_environment
 from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors.base import COUNTS, Message, Orders, Say, Totals
@@ -88,6 +90,7 @@ class _Worker:
 
     def _teach(self, first: Cell, orders: Orders) -> None:
         pool = self._pool_for(first, orders.keeping)
+        refuse_other_code(first, orders.agree.get(DIGESTS, {}))
         check_columns(first, pool.template.learner, orders.varying)
         runs = Runs(pool, orders, self._say)
         self._before, self._paces_before = dataclasses.replace(pool.counters), pool.paces()
