@@ -166,14 +166,14 @@ def test_warnings_of_a_source_are_neither_told_nor_heeded(here):
 
 
 def test_how_deep_the_caller_is_changes_nothing(here):
-    write(here, rulesource=f"x = {' + '.join(map(str, range(300)))}\n")
+    write(here, rulesource=f"x = {' + '.join(map(str, range(450)))}\n")
     found = digests_of_modules(["rulesource"])
-    write(here, rulesource=f"x = {' + '.join(map(str, range(300)))}  # why\n")
+    write(here, rulesource=f"x = {' + '.join(map(str, range(450)))}  # why\n")
 
     def deeper(levels):
         return deeper(levels - 1) if levels else digests_of_modules(["rulesource"])
 
-    assert deeper(500) == found
+    assert deeper(450) == found
 
 
 def test_each_source_is_parsed_once(here, monkeypatch):
