@@ -66,6 +66,18 @@ def note(
         manifest[ENTRY] = {**held, **now}
 
 
+def refuse_unlike(folders: Iterable[tuple[Path, Mapping[str, Any]]]) -> None:
+    """Refuses run folders, each with its manifest, in which a name stands for two things. Raises UserError."""
+    told: dict[str, tuple[Path, Mapping[str, str]]] = {}
+    for folder, manifest in folders:
+        held = manifest.get(ENTRY, {})
+        for name in conflicts(held, {name: parts for name, (_, parts) in told.items()}):
+            raise UserError(
+                f"{folder}: its {name} is another one than that of {told[name][0]}: run one again into a new folder"
+            )
+        told = {name: (folder, parts) for name, parts in held.items()} | told
+
+
 def _made(out: Path, manifest: Mapping[str, Any]) -> set[str]:
     """The names of which a folder has rows, or runs under way."""
     from gpcjax.sweep.parts import Found, whole_parts  # which loads pyarrow

@@ -12,6 +12,7 @@ from typing import Any
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.changed import refuse_unlike
 from gpcjax.sweep.checkpoints import remove_all
 from gpcjax.sweep.digests import ENTRY as DIGESTS
 from gpcjax.sweep.digests import conflicts
@@ -140,8 +141,8 @@ def _keys(folder: Path, manifest: Mapping[str, Any], found: Found) -> dict[str, 
 def _checked(shares: Sequence[_Share]) -> list[_Share]:
     """The shares in their order, if they are all shares of one sweep, each once."""
     shares = sorted(shares, key=lambda share: share.shard)
-    first, told = shares[0], dict[str, _Share]()
-    for share in shares:
+    first = shares[0]
+    for share in shares[1:]:
         if sorted(hashes(share.manifest)) != sorted(hashes(first.manifest)):
             raise UserError(_other_requests(first, share))
         if share.shard.of != first.shard.of:
@@ -158,12 +159,7 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
                 raise UserError(
                     f"{share.folder}: it was made with {name} {other}, {first.folder} with {version}: run one again"
                 )
-        for name in conflicts(share.manifest.get(DIGESTS, {}), _digests(told)):
-            raise UserError(
-                f"{share.folder}: its {name} is another one than that of {told[name].folder}: run one again into a "
-                "new folder"
-            )
-        told = {**dict.fromkeys(share.manifest.get(DIGESTS, {}), share), **told}
+    refuse_unlike((share.folder, share.manifest) for share in shares)
     by_index: dict[int, _Share] = {}
     for share in shares:
         if (twin := by_index.setdefault(share.shard.number, share)) is not share:
@@ -179,11 +175,6 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             f"shards {', '.join(missing[:10])}{more} of {first.shard.of} are missing: run them, or give their folders"
         )
     return shares
-
-
-def _digests(told: Mapping[str, _Share]) -> dict[str, Mapping[str, str]]:
-    """What the first share says of each name that has it."""
-    return {name: share.manifest[DIGESTS][name] for name, share in told.items()}
 
 
 def _keeps_other(manifest: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str] | None:
