@@ -20,6 +20,7 @@ from gpcjax.sweep.code import digests_of_modules
 from gpcjax.sweep.layout import sha256
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.versions import LIBRARIES
 
 ENTRY = "digests"
 """Of a manifest, by "env NAME", "algo NAME" and so on: the digests of the parts of each. Those of 0.2 have none."""
@@ -45,22 +46,35 @@ def names_of(env: str, teacher: str, algo: str, oracle: str) -> tuple[str, ...]:
     return f"env {env}", f"teacher {teacher}", f"algo {algo}", f"oracle {oracle}"
 
 
-def refuse_other_code(cell: Cell, held: Digests) -> None:
-    """Refuses to compute with something else than a sweep was begun with: asked by a worker that has imported it.
+class Loaded:
+    """The code of a person's own that a process computes with: as it was when it was first looked at there.
 
-    What is installed on one machine may be followed on another: what both follow must be the same.
-
-    Raises:
-        UserError: it was edited since, or is another one on this machine.
+    What is edited later is not loaded again.
     """
-    now = _digests(cell.env, cell.teacher, (cell.algo,), (cell.oracle,)) if held else {}
-    for name, parts in now.items():
-        known = held.get(name, {})
-        if odd := [part for part in parts if part in known and known[part] != parts[part]]:
-            raise UserError(
-                f"{name} is not what it was when this sweep was begun{which(name, odd)}: it was edited meanwhile, or "
-                "another one is on this machine: bring that back"
-            )
+
+    def __init__(self) -> None:
+        self._seen: dict[str, str] = {}
+
+    def refuse_other(self, cell: Cell, held: Digests) -> None:
+        """Refuses to compute with something else than a sweep was begun with: asked when all that is imported.
+
+        What is installed on one machine may be followed on another: what both follow must be the same.
+
+        Raises:
+            UserError: it was edited since, or is another one on this machine.
+        """
+        now = _digests(cell.env, cell.teacher, (cell.algo,), (cell.oracle,)) if held else {}
+        for name, parts in now.items():
+            known = held.get(name, {})
+            mine = {part: self._first(part, told) for part, told in parts.items()}
+            if odd := [part for part in mine if part in known and known[part] != mine[part]]:
+                raise UserError(
+                    f"{name} is not what it was when this sweep was begun{which(name, odd)}: it was edited meanwhile, "
+                    "or another one is on this machine: bring that back"
+                )
+
+    def _first(self, part: str, told: str) -> str:
+        return told if part == _FILE else self._seen.setdefault(part, told)  # files are read each time
 
 
 def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:
@@ -122,7 +136,7 @@ def _parts_of_expert(entry: Any) -> dict[str, str]:
 
 
 def _modules(names: Iterable[str], versioned: Collection[str] = ()) -> dict[str, str]:
-    return digests_of_modules(dict.fromkeys(filter(None, names)), versioned)
+    return digests_of_modules(dict.fromkeys(filter(None, names)), (*versioned, *LIBRARIES))
 
 
 def _modules_in(things: Iterable[Any]) -> Iterator[str]:

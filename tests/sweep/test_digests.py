@@ -13,10 +13,10 @@ import pytest
 from gpcjax import make_learner, registry, save_policy
 from gpcjax.errors import UserError
 from gpcjax.policies.folder import write_folder
-from gpcjax.sweep import changed, merging, worker
+from gpcjax.sweep import changed, digests, merging, worker
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import runs_as_json, survey, told
-from gpcjax.sweep.digests import ENTRY, digests_of, refuse_other_code
+from gpcjax.sweep.digests import ENTRY, Loaded, digests_of
 from gpcjax.sweep.executors.base import Orders
 from gpcjax.sweep.manifest import read_manifest, write_manifest
 from gpcjax.sweep.merging import merge
@@ -196,7 +196,19 @@ def test_a_worker_computes_nothing_with_code_that_was_edited_meanwhile(modules, 
         "another one is on this machine: bring that back",
     )
     # What was installed on one of two machines is followed on the other alone.
-    refuse_other_code(cell, {"oracle myrule:act": {"myrule": held["oracle myrule:act"]["myrule"]}})
+    Loaded().refuse_other(cell, {"oracle myrule:act": {"myrule": held["oracle myrule:act"]["myrule"]}})
+
+
+def test_a_worker_that_stays_computes_with_what_it_has_imported(modules):
+    """Whatever is on the disk by then: a search has the same workers for hours, and folders that begin late."""
+    spec = spec_of(seeds=1, **OWN)
+    cell, first, loaded = plan(spec)[0], digests_of(spec), Loaded()
+    loaded.refuse_other(cell, first)
+    (modules / "ruleconsts.py").write_text("GAIN = 0.75\n")
+    then = digests_of(spec)
+    loaded.refuse_other(cell, first)
+    assert "(ruleconsts): it was edited meanwhile" in refusal(loaded.refuse_other, cell, then)
+    Loaded().refuse_other(cell, then)
 
 
 def test_a_folder_of_before_goes_on_and_says_it_from_then_on(tmp_path, modules, capsys):
@@ -214,6 +226,10 @@ def test_a_folder_of_before_goes_on_and_says_it_from_then_on(tmp_path, modules, 
     assert ENTRY in read_manifest(out)
     (modules / "ruleconsts.py").write_text("GAIN = 1\n")
     assert "ruleconsts" in refusal(sweep, out, seeds=3, **OWN)
+
+
+def test_libraries_whose_versions_are_told_are_no_code_of_ones_own():
+    assert digests._parts_of_expert("numpy.linalg:norm") == digests._parts_of_expert(np.zeros) == {}
 
 
 def test_what_is_built_in_is_not_noted(tmp_path):
