@@ -69,8 +69,8 @@ class Loaded:
             mine = {part: self._first(part, told) for part, told in parts.items()}
             if odd := [part for part in mine if part in known and known[part] != mine[part]]:
                 raise UserError(
-                    f"{name} is not what it was when this sweep was begun{which(name, odd)}: it was edited meanwhile, "
-                    "or another one is on this machine: bring that back"
+                    f"{name} is not what it was when this sweep was begun{which(name, odd)}: it was edited meanwhile "
+                    "(give the command again), or another one is on this machine"
                 )
 
     def _first(self, part: str, told: str) -> str:

@@ -192,8 +192,8 @@ def test_a_worker_computes_nothing_with_code_that_was_edited_meanwhile(modules, 
     assert words({})[0] == "failed"
     assert words({ENTRY: held}) == (
         "refused",
-        "oracle myrule:act is not what it was when this sweep was begun (ruleconsts): it was edited meanwhile, or "
-        "another one is on this machine: bring that back",
+        "oracle myrule:act is not what it was when this sweep was begun (ruleconsts): it was edited meanwhile (give "
+        "the command again), or another one is on this machine",
     )
     # What was installed on one of two machines is followed on the other alone.
     Loaded().refuse_other(cell, {"oracle myrule:act": {"myrule": held["oracle myrule:act"]["myrule"]}})
