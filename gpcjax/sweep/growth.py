@@ -47,6 +47,26 @@ def hashes(manifest: Mapping[str, Any]) -> dict[str, Filled]:
     return {each["hash"]: each["filled"] for each in requests(manifest)}
 
 
+def algos_of(manifest: Mapping[str, Any], hash_: str) -> frozenset[str]:
+    """The learners that a request has asked for; none of one that is not of this folder."""
+    return frozenset(
+        algo for each in requests(manifest) if each["hash"] == hash_ for algo in each["specification"]["algo"]
+    )
+
+
+def filled_in_order(manifest: Mapping[str, Any], order: Iterable[str]) -> Filled:
+    """What missing columns hold of each learner that anybody has asked for: by the first request that has.
+
+    As long as a setting does not vary, all requests for a learner have the same value of it. So any will do that a part
+    was written after: first those in `order`, then the others from the first one on.
+    """
+    known, found = hashes(manifest), dict[str, dict[str, float | None]]()
+    for hash_ in dict.fromkeys([*(each for each in order if each in known), *known]):
+        for name, by_learner in known[hash_].items():
+            found[name] = dict(by_learner) | found.get(name, {})
+    return found
+
+
 def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     """What of a specification cannot be added to the one that a folder holds, as "episodes 30, not 40"."""
     grow = (*LISTS, "seeds", "hyperparameters", POINTS)
