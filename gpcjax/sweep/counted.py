@@ -18,9 +18,9 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.chosen import Places
 from gpcjax.sweep.coded import Coded, Values, joint
 from gpcjax.sweep.layout import EPISODES, Say
-from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.rows import IDENTITY
+from gpcjax.sweep.steady import steadily
 
 OK = "ok"
 _TOTALS = ("length", "clipped", "full")
@@ -97,22 +97,26 @@ def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
     Raises:
         UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
     """
-    manifest = read_manifest(out)
-    varying, found, values = tuple(manifest["varying"]), Found(), Values()
-    env, parts, names, again = "", [], [], []
-    for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
-        table = part.tables[EPISODES]
-        if len(table):
-            env = env or str(table.column("env")[0])
-            parts.append(_of_table(table, varying, values))
-            names.append(part.name)
-            again.append(part.again)
-    if found.damaged and not parts:
+
+    def read(manifest: Mapping[str, Any], found: Found) -> Episodes | None:
+        varying, values = tuple(manifest["varying"]), Values()
+        env, parts, names, again = "", [], [], []
+        for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
+            table = part.tables[EPISODES]
+            if len(table):
+                env = env or str(table.column("env")[0])
+                parts.append(_of_table(table, varying, values))
+                names.append(part.name)
+                again.append(part.again)
+        episodes, found.repeated = _joined(env, parts, names, again) if parts else (None, 0)
+        return episodes
+
+    episodes, manifest, found = steadily(out, read)
+    if found.damaged and episodes is None:
         path, what = next(iter(found.damaged.items()))
         raise UserError(
             f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
         )
-    episodes, found.repeated = _joined(env, parts, names, again) if parts else (None, 0)
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return episodes, manifest
 

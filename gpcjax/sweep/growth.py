@@ -67,6 +67,12 @@ def filled_in_order(manifest: Mapping[str, Any], order: Iterable[str]) -> Filled
     return found
 
 
+def filled_since(then: Mapping[str, Any], now: Mapping[str, Any]) -> Filled:
+    """The settings that have begun to vary from one manifest of a folder to a later one: what they were before."""
+    filled = filled_in_order(now, hashes(then))
+    return {name: filled.get(name, {}) for name in now["varying"] if name not in then["varying"]}
+
+
 def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     """What of a specification cannot be added to the one that a folder holds, as "episodes 30, not 40"."""
     grow = (*LISTS, "seeds", "hyperparameters", POINTS)

@@ -46,6 +46,8 @@ class Found:
     """Names of parts whose rows are in another one, which was made of them."""
     repeated: int = 0
     """Cells that an earlier part holds too."""
+    gone: bool = False
+    """Whether a part went while the others were read."""
 
     @property
     def parts(self) -> list[str]:
@@ -128,6 +130,7 @@ def whole_parts(
             yield part._replace(again=again)
         if not gone:
             break
+        found.gone = True
         # It was set aside just now, or its rows are in a part that was not there yet when the names were read.
         again, gone = True, False
     old = listed if may_hold_unsealed(manifest) else set()
