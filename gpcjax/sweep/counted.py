@@ -15,6 +15,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
+from gpcjax.recording import CUT
 from gpcjax.sweep.chosen import Places
 from gpcjax.sweep.coded import Coded, Values, joint
 from gpcjax.sweep.layout import EPISODES, Say
@@ -36,7 +37,7 @@ class Episodes:
     | `env`         |                 | the task                                                              |
     | `settings`    | [cells] each    | algo, oracle, error and the settings that vary                        |
     | `seeds`       | [cells]         | of the cells                                                          |
-    | `totals`      | [cells] each    | sums over the episodes of a cell: length, clipped, full               |
+    | `totals`      | [cells] each    | sums over the episodes of a cell that were not cut: length, clipped, full |
     | `cell`        | [rows]          | the cell of each episode                                              |
     | `episode`     | [rows]          | from 1                                                                |
     | `returns`     | [rows]          | sums of rewards                                                       |
@@ -151,10 +152,12 @@ class _Part(NamedTuple):
         rank = np.empty(len(known), np.int32)
         rank[order] = np.arange(len(known))
         cell, first = rank[which][np.cumsum(starts) - 1], first[once[order]]
+        cut = status.values.index(CUT) if CUT in status.values else None
+        whole = slice(None) if cut is None else status.codes != cut
         return _Part(
             {name: column._replace(codes=column.codes[first]) for name, column in settings.items()},
             seeds[first],
-            {name: _sums(cell, columns[name], len(first)) for name in _TOTALS},
+            {name: _sums(cell[whole], columns[name][whole], len(first)) for name in _TOTALS},
             cell,
             columns["episode"].astype(np.int32),
             columns["return"].astype(np.float64),
