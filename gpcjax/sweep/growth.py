@@ -84,12 +84,12 @@ def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[st
     ]
 
 
-def covering(manifest: Mapping[str, Any], spec: SweepSpec, together: bool = True) -> str | None:
+def covering(manifest: Mapping[str, Any], spec: SweepSpec) -> str | None:
     """The hash of a request that asked for all of `spec` already; None if there is none.
 
-    Where several have done so `together`, the hash of the last of those that asked for some of it.
+    Where several have done so together, the hash of the last of those that asked for some of it.
     """
-    if (hash_ := _covered_by_one(manifest, spec)) is not None or not together:
+    if (hash_ := _covered_by_one(manifest, spec)) is not None:
         return hash_
     wanted = as_dict(spec)
     held = {

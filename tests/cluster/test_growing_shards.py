@@ -77,6 +77,17 @@ def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, be
     assert read_episodes(merge([out])).equals(read_episodes(merge([expected])))
 
 
+def test_so_is_one_by_a_command_that_was_nothing_new(tmp_path, capsys):
+    """The others have all of it from one request, and no request of its own."""
+    out = tmp_path / "o"
+    for settings in ({"seeds": 6}, {"seeds": "4-9"}, {"seeds": 3}):
+        run(out, 1, **settings)
+    capsys.readouterr()
+    again = run(out, 2, seeds=3)
+    assert f"gpcjax: {again}: the other shards were asked for other things before" in capsys.readouterr().err
+    assert seeds(merge([out])) == [*range(10)]
+
+
 def test_one_that_lost_its_manifest_keeps_its_share(tmp_path):
     """Which depends on what was asked for first, even if it was asked for again since."""
     out, requests = tmp_path / "o", [{"seeds": "4-6"}, {"seeds": 8}, {"seeds": 12}]
