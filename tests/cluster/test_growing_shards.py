@@ -119,6 +119,17 @@ def test_those_of_another_sweep_are_none(tmp_path):
         merge([out])
 
 
+def test_in_another_order_they_have_other_shares(tmp_path):
+    """Which is no fault of another version."""
+    folders, requests = [], [{"seeds": 5}, {"seeds": "3-9"}]
+    for number, asked in ((1, requests), (2, requests[::-1])):
+        for settings in asked:
+            folder = run(tmp_path / str(number), number, **settings)
+        folders.append(folder)
+    with pytest.raises(UserError, match="it was not asked for the same things as .*, one after the other: "):
+        merge(folders, tmp_path / "whole")
+
+
 def test_elsewhere_the_refusal_says_what_to_do(tmp_path):
     """Shards on disks of their own know nothing of each other."""
     one, other = tmp_path / "one", tmp_path / "other"

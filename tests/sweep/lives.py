@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
-from gpcjax.sweep import going, steady
+from gpcjax.sweep import going, merging, steady
 from gpcjax.sweep import manifest as manifest_module
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep import store as store_module
@@ -24,7 +24,6 @@ from gpcjax.sweep.growth import requests
 from gpcjax.sweep.layout import BESIDE, EPISODES, MANIFEST
 from gpcjax.sweep.listing import looked_into
 from gpcjax.sweep.manifest import read_manifest
-from gpcjax.sweep.merging import merge
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read, read_kept
 from gpcjax.sweep.run import sweep
@@ -169,7 +168,7 @@ class Life:
             return once
 
         with self.monkeypatch.context() as patch:
-            for module in (store_module, manifest_module):
+            for module in (store_module, manifest_module, merging):
                 patch.setattr(module, "write_atomic", counted(module.write_atomic))
             remove = counted(Store._remove)
             patch.setattr(Store, "_remove", lambda self, names: [remove(self, [each]) for each in names])
@@ -260,16 +259,22 @@ class Life:
             assert not ended or read_manifest(self.out)["complete"] == (truth == every)
 
     def in_shards(self):
-        """Two shards are asked for the same things, the second later, perhaps by the last command alone; and merged."""
+        """Two shards are asked for the same things, the second later, perhaps by the last command alone; and merged.
+
+        Whoever merges may be killed.
+        """
         asked = [self.request() for _ in range(self.random.randrange(2, 4))]
         for each in asked:
             self.ask(each, "1/2", fails_after=self.random.choice([None, None, 1]))
-        for each in self.random.choice([asked, asked[-1:]]):
+        begun = (self.out / "shards/2-of-2").exists()
+        for each in self.random.choice([asked, asked if begun else asked[-1:]]):
             self.ask(each, "2/2")
         for shard in ("1/2", "2/2"):
             for each in asked:
                 self.ask(each, shard)
             self.check(self.out / "shards" / shard.replace("/", "-of-"))
-        merge([self.out])
+        with contextlib.suppress(Killed), self.killed(self.random.randrange(12)):
+            merging.merge([self.out])
+        merging.merge([self.out])
         truth, every = self.check()
         assert truth == every
