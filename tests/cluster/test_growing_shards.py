@@ -126,7 +126,7 @@ def test_in_another_order_they_have_other_shares(tmp_path):
         for settings in asked:
             folder = run(tmp_path / str(number), number, **settings)
         folders.append(folder)
-    with pytest.raises(UserError, match="it was not asked for the same things as .*, one after the other: "):
+    with pytest.raises(UserError, match=r"it was not asked for the same things as .*, one after the other: "):
         merge(folders, tmp_path / "whole")
 
 
