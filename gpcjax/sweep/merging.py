@@ -149,9 +149,10 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, {first.folder} is {first.shard}: give shards of one number"
             )
-        if keeps := _keeps_other(share.manifest, first.manifest):
+        telling = next((each for each in shares if ENTRY in each.manifest), first)
+        if keeps := _keeps_other(share.manifest, telling.manifest):
             raise UserError(
-                f"{share.folder}: {keeps[0]}, {first.folder} {keeps[1]}: run one again into a new folder"
+                f"{share.folder}: {keeps[0]}, {telling.folder} {keeps[1]}: run one again into a new folder"
             )
         for name, version in first.manifest["versions"].items():
             other = share.manifest["versions"].get(name)
@@ -209,8 +210,16 @@ def _begins_alike(less: _Share, more: _Share) -> bool:
     return asked[0] == asked[1][: len(asked[0])]
 
 
-def _refuse_gaps(shares: Iterable[_Share], wanted: Keys) -> None:
+def _refuse_gaps(shares: Sequence[_Share], wanted: Keys) -> None:
     """Refuse shares that do not make up the whole, each cell once."""
+    cells = [share.cells for share in shares]
+    if sum(map(len, cells)) == len(wanted) and set().union(*cells) == wanted:
+        return
+    for share in shares[1:]:
+        if [*hashes(share.manifest)] != [
+            *hashes(shares[0].manifest)
+        ]:  # in another order they have other shares
+            raise UserError(_other_requests(shares[0], share))
     seen: Keys = set()
     for share in shares:
         if twice := len(share.cells & seen):
