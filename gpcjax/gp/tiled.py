@@ -1,9 +1,11 @@
 """Gram matrices that are factorised while they are made, tile by tile, for GPC-NS: K + noise I = U^T U.
 
-Loops go over the tiles of the points in use, however much room there is, and XLA compiles all of them to one function.
-With some hundred points that takes less time than LAPACK for a matrix that was made before (`benchmarks/README.md`),
-and no number depends on how a library splits its work.
+Loops go over the tiles of the points in use, however much room there is, and over half of the matrix. Where XLA
+compiles all of them to one function, that takes three fifths to nine tenths of LAPACK's time for a matrix that is made
+before, with up to some hundred points (`benchmarks/README.md`).
 """
+
+import os
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,33 +13,56 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from gpcjax.gp import tiles
+from gpcjax.gp.batching import together
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.tiles import ROWS as SIDE
+from gpcjax.gp.tiles import Places, Vector
 
 Tile = Float[Array, "side side"]
+Side = Float[Array, " side"]
 Index = Int[Array, ""]
 Room = Float[Array, "m more"]
+Inverses = Float[Array, "m side"]
+
+
+def is_fast(capacity: int) -> bool:
+    """Whether this is the faster way here, for so much room; asked when a program is traced.
+
+    This process has to compile loops within loops to one function, as workers do, by an option of XLA's that has no
+    other place than the environment (`gpcjax.sweep.environment`). Otherwise each of their operations is dispatched
+    alone, which takes longer than LAPACK. An accelerator has ways of its own.
+    """
+    compiled = "xla_cpu_small_while_loop_byte_threshold" in os.environ.get("XLA_FLAGS", "")
+    return compiled and capacity % SIDE == 0 and not together()
 
 
 class Factor(eqx.Module):
     """U of the points in use, and one vector v.
 
-    `matrix` has the tiles of U above the diagonal, U^-T of those on it, and beside it in a column of tiles U^-T v.
+    `matrix` has U, of whose tiles what is below the diagonal means nothing, and beside it in a column of tiles U^-T v.
+    `inverse` has U^-T of the tiles on the diagonal.
     """
 
     matrix: Room
+    inverse: Inverses
     count: Index
 
+    def lower(self, n: int) -> Float[Array, "n n"]:
+        """U^T of so many rows; the identity where there is no point. What is above the diagonal means nothing."""
+        rows = jnp.arange(n)
+        unused = (rows >= tiles.whole(self.count, SIDE) * SIDE)[:, None] & (rows[:, None] == rows[None])
+        return jnp.where(unused, 1.0, self.matrix[:n, :n].T)
+
     @property
-    def whitened(self) -> Float[Array, " m"]:
+    def whitened(self) -> Vector:
         """U^-T v: its squares add up to v^T (K + noise I)^-1 v. Zero where no point is in use."""
         return self.matrix[:, self.matrix.shape[0]]
 
-    def solved(self) -> Float[Array, " m"]:
+    def solved(self) -> Vector:
         """(K + noise I)^-1 v, zero where no point is in use."""
         used, whitened = tiles.whole(self.count, SIDE), self.whitened
 
-        def row(step: Index, solution: Float[Array, " m"]) -> Float[Array, " m"]:
+        def row(step: Index, solution: Vector) -> Vector:
             i = used - 1 - step
 
             def column(j: Index, products: Tile) -> Tile:
@@ -45,7 +70,9 @@ class Factor(eqx.Module):
 
             products = lax.fori_loop(i + 1, used, column, jnp.zeros((SIDE, SIDE)))
             rest = _part(whitened, i) - products.sum(1)
-            return tiles.put(solution, (), (i * SIDE,), (_tile(self.matrix, i, i) * rest[:, None]).sum(0))
+            return tiles.put(
+                solution, (), (i * SIDE,), (_tile(self.inverse, i, jnp.int32(0)) * rest[:, None]).sum(0)
+            )
 
         return lax.fori_loop(jnp.int32(0), used, row, jnp.zeros_like(whitened))
 
@@ -56,40 +83,57 @@ def factor(
     scale: Float[Array, " d"],
     count: Index,
     noise: Float[Array, ""],
-    vector: Float[Array, " n"],
+    vector: Vector,
 ) -> Factor:
     """The factor of the first `count` points, whose inputs are multiplied by `scale` first, and `vector` with it.
 
-    The vector is zero from `count` on. A matrix that is not positive definite gives NaN.
+    There is room for whole tiles. The vector is zero from `count` on. A matrix that is not positive definite gives NaN.
     """
-    more = -points.shape[0] % SIDE
-    inputs = jnp.pad((points * (scale * kernel.inverse_length)[None]).T, ((0, 0), (0, more)))
-    right = jnp.pad(vector, (0, more))
-    size = inputs.shape[1]
+    inputs, size = (points * (scale * kernel.inverse_length)[None]).T, points.shape[0]
     used = tiles.whole(count, SIDE)
 
-    def row(i: Index, upper: Room) -> Room:
+    def row(i: Index, carry: tuple[Room, Inverses]) -> tuple[Room, Inverses]:
+        upper, inverses = carry
+
         def column(j: Index, carry: tuple[Room, Tile]) -> tuple[Room, Tile]:
             upper, inverse = carry
             beside = j == used  # after the last column of U comes that of the vector
-            first = jnp.where(jnp.arange(SIDE)[None] == 0, _part(right, i)[:, None], 0.0)
+            first = jnp.where(jnp.arange(SIDE)[None] == 0, _part(vector, i)[:, None], 0.0)
             tile = jnp.where(beside, first, _gram(kernel, inputs, count, noise, i, jnp.where(beside, i, j)))
             at = jnp.where(beside, jnp.int32(size // SIDE), j)
             rest = lax.fori_loop(jnp.int32(0), i, lambda k, rest: _less(upper, rest, k, i, at), tile)
             inverse = lax.cond(i == j, _inverse, lambda rest: inverse, rest)
-            here = jnp.where(i == j, inverse, _product(inverse.T, rest))
-            return tiles.put(upper, (), (i * SIDE, at * SIDE), here), inverse
+            return tiles.put(upper, (), (i * SIDE, at * SIDE), _product(inverse.T, rest)), inverse
 
-        return lax.fori_loop(i, used + 1, column, (upper, jnp.zeros((SIDE, SIDE))))[0]
+        upper, inverse = lax.fori_loop(i, used + 1, column, (upper, jnp.zeros((SIDE, SIDE))))
+        return upper, tiles.put(inverses, (), (i * SIDE, 0), inverse)
 
-    return Factor(lax.fori_loop(jnp.int32(0), used, row, jnp.zeros((size, size + SIDE))), count)
+    room = jnp.zeros((size, size + SIDE)), jnp.zeros((size, SIDE))
+    return Factor(*lax.fori_loop(jnp.int32(0), used, row, room), count)
+
+
+def whiten(lower: Float[Array, "..."], place: Places, count: Index, vector: Vector) -> Vector:
+    """L^-1 v, of the factor at `place`, for a vector that is zero from `count` on, as is then the result."""
+
+    def tile(i: Index, j: Index) -> Tile:
+        return tiles.cut(lower, place, (i * SIDE, j * SIDE), (SIDE, SIDE))
+
+    def row(i: Index, solution: Vector) -> Vector:
+        def column(j: Index, products: Tile) -> Tile:
+            return products + tile(i, j) * _part(solution, j)[None]
+
+        products = lax.fori_loop(jnp.int32(0), i, column, jnp.zeros((SIDE, SIDE)))
+        rest = _part(solution, i) - products.sum(1)
+        return tiles.put(solution, (), (i * SIDE,), _forward(tile(i, i), rest))
+
+    return lax.fori_loop(jnp.int32(0), tiles.whole(count, SIDE), row, vector)
 
 
 def _tile(matrix: Room, i: Index, j: Index) -> Tile:
     return tiles.cut(matrix, (), (i * SIDE, j * SIDE), (SIDE, SIDE))
 
 
-def _part(vector: Float[Array, " m"], i: Index) -> Float[Array, " side"]:
+def _part(vector: Vector, i: Index) -> Side:
     return tiles.cut(vector, (), (i * SIDE,), (SIDE,))
 
 
@@ -135,3 +179,15 @@ def _inverse(matrix: Tile) -> Tile:
 
     both = jnp.concatenate([matrix, jnp.eye(SIDE)], axis=1)
     return lax.fori_loop(jnp.int32(0), jnp.int32(SIDE), step, both)[:, SIDE:]
+
+
+def _forward(corner: Tile, right: Side) -> Side:
+    """L^-1 b, of a tile L; zero where L is."""
+    within = jnp.arange(SIDE)
+
+    def step(row: Index, rest: Side) -> Side:
+        column = tiles.cut(corner, (), (0, row), (SIDE, 1))[:, 0]
+        value = tiles.cut(rest, (), (row,), (1,)) / tiles.cut(column, (), (row,), (1,))
+        return jnp.where(within == row, value, jnp.where(within > row, rest - column * value, rest))
+
+    return lax.fori_loop(jnp.int32(0), jnp.int32(SIDE), step, right)

@@ -149,7 +149,7 @@ def unpacked(
     """
     expected = leaves_of(template)
     empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
-    arrays = dict(arrays) | empty  # 0.2.0 kept a factor of GPC-NS's policy, which is made from the points now
+    arrays = empty | dict(arrays)
     odd = next(
         (name for name in expected if name not in arrays or _kind(arrays[name]) != _kind(expected[name])), ""
     )
