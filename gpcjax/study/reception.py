@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket
@@ -19,7 +20,6 @@ from gpcjax.study.showing import hello
 from gpcjax.study.sitting import Sitting
 from gpcjax.study.status import line_of
 from gpcjax.study.steps import Step
-from gpcjax.teach.course import Course
 from gpcjax.teach.pages import Page, attended, leave
 from gpcjax.teach.protocol import Command, parse
 
@@ -84,7 +84,7 @@ class Reception:
         if run is None:
             trial = study.trial
             assert trial is not None
-            course = Course(trial.course.env, trial.course.algo, trial.course.settings, participant.seed)
+            course = replace(trial.course, seed=participant.seed)
             return Run(participant.trial_folder(), course, trial.episodes, trial.seconds)
         return Run(
             participant.run_folder(run),

@@ -37,3 +37,13 @@ class Linear(gpcjax.Learner):
     def learn(self, state, moment, advice, key):
         change = 0.5 * jnp.outer(advice, moment.obs)
         return state + change, gpcjax.Info.of(rate=jnp.abs(change @ moment.obs))
+
+
+class Turned(Linear):
+    """The same with a number, which is a setting, and a word, which is none."""
+
+    reach: float = 1.0
+    way: str = "forth"
+
+    def propose(self, state, obs):
+        return self.reach * state @ obs * (1.0 if self.way == "forth" else -1.0)
