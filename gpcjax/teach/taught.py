@@ -21,6 +21,7 @@ from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info
 from gpcjax.learners.recipes import check_recipe
 from gpcjax.policies.folder import write_folder
+from gpcjax.policies.vectors import near
 from gpcjax.recording import Recording
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.build import pack_learned, recipe_of
@@ -340,8 +341,8 @@ class Taught:
             obs = moved.obs
             self.present.total += moved.reward
             self.present.length += 1
-        if obs.tolist() != recorded:
-            raise UserError(f"{place}: the task was at {recorded}, here it is at {obs.tolist()}")
+        if (here := near(obs).tolist()) != recorded:  # as `Session.propose` has it recorded
+            raise UserError(f"{place}: the task was at {recorded}, here it is at {here}")
 
     def _compare(self, values: Mapping[str, Any]) -> None:
         """That an episode came to what was written down of it."""

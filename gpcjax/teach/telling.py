@@ -20,7 +20,16 @@ from gpcjax.teach.protocol import Press
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import makes_pictures
 
-__all__ = ["advised_of", "bounds", "described_learner", "described_task", "episode_of", "finite", "packed"]
+__all__ = [
+    "advised_of",
+    "axes_of",
+    "bounds",
+    "described_learner",
+    "described_task",
+    "episode_of",
+    "finite",
+    "packed",
+]
 
 _KEYS = (("left", "right"), ("down", "up"))
 """Of less and more, for the first and the second dimension of an action of which nothing else is known."""
@@ -88,6 +97,12 @@ def bounds(task: TaskSpec, size: int, tally: Tally) -> Float[np.ndarray, "obs 2"
     usual = np.array(task.obs_scale if task.obs_scale is not None else [1.0] * size)
     reach = np.maximum(np.abs(seen).max(0) * 1.2, usual)
     return np.stack([-reach, reach], axis=-1)
+
+
+def axes_of(task: TaskSpec, size: int) -> tuple[int, int]:
+    """The two of these many numbers of an observation over which the policy is drawn first; a single one is both."""
+    x, y = (min(int(axis), size - 1) for axis in task.view.axes)
+    return x, y
 
 
 def described_learner(name: str, task: TaskSpec, given: Mapping[str, float]) -> dict[str, Any]:

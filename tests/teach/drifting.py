@@ -21,6 +21,13 @@ class Drift(gpcjax.Env):
         return jnp.broadcast_to(jnp.clip(state.physics[0], 0.0, 1.0), (4, 6, 3))
 
 
+class Far(Drift):
+    """The same, and further away at each step: soon beyond what policies take."""
+
+    def step(self, state, action):
+        return self.advance(state, state.physics * 1e25, reward=1.0)
+
+
 def expert(obs):
     return -jnp.clip(obs[:1] + 0.6 * obs[1:], -1.0, 1.0)
 
