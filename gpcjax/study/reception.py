@@ -1,10 +1,11 @@
 """The reception of a study: pages come in, people sit down, the experimenter looks on. In the server's event loop."""
 
 import asyncio
+import contextlib
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -205,8 +206,10 @@ class Reception:
         """Nobody sits there, and nothing of the participant will be written any more."""
         participant = self.register.get(code)
         while participant is not None:
-            if (sitting := self._sittings.pop(code, None)) is not None:
-                await sitting.stop()
+            if (sitting := self._sittings.get(code)) is not None:
+                with contextlib.suppress(OSError):  # a full disk: of who is deleted no end is to be written
+                    await sitting.stop()
+                self._sittings.pop(code, None)
                 await sitting.close()
                 sitting.page = None  # that it goes is nothing to write down
             await asyncio.to_thread(self.hall.await_left, participant.folder)
@@ -261,21 +264,26 @@ class Reception:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(SECOND)
-            try:
-                await self._second()
-            except Exception as error:  # the next second comes all the same
-                self.fault(f"{type(error).__name__}: {error}")
+            for code, sitting in list(self._sittings.items()):
+                await self._guarded(self._second_of(code, sitting))
+            await self._guarded(self._expire())
+            self._report()
 
-    async def _second(self) -> None:
-        for code, sitting in list(self._sittings.items()):
-            if not await sitting.tick() and self._sittings.get(code) is sitting and sitting.page is None:
-                del self._sittings[code]
+    async def _guarded(self, doing: Awaitable[None]) -> None:
+        """What goes wrong with one is told: others have their second, and the next one comes all the same."""
+        try:
+            await doing
+        except Exception as error:
+            self.fault(f"{type(error).__name__}: {error}")
+
+    async def _second_of(self, code: str, sitting: Sitting) -> None:
+        if not await sitting.tick() and self._sittings.get(code) is sitting and sitting.page is None:
+            del self._sittings[code]
+
+    async def _expire(self) -> None:
         if time.monotonic() - self._expired > EXPIRE_EVERY:
             self._expired = time.monotonic()
-            for late in await self.clerk(self.register.expire):
-                if (sitting := self._sittings.get(late.code)) is not None:
-                    await sitting.stop()
-        self._report()
+            await self.clerk(self.register.expire)
 
     async def close(self) -> None:
         """Gives all seats back; what was to be written is written."""
