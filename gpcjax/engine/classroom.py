@@ -1,9 +1,9 @@
 """Many sessions in one process, each learner a lane of a block that others share.
 
-Every step of all that are due is one call of a program, and so is every correction. A pupil whose dictionary is full
-moves to the block of the next room before the correction that may not fit: a matter of its own counts, as in a pool
-(`gpcjax.engine.pool`). Blocks have 8 or 16 lanes, so that the bits of a lane do not depend on who else is there: the
-recording of a session here is made again in a classroom with one pupil.
+The steps of all that are due are one call of a program for each block, and a correction is one call. A pupil whose
+dictionary is full moves to the block of the next room before the correction that may not fit: a matter of its own
+counts, as in a pool (`gpcjax.engine.pool`). Blocks have 8 or 16 lanes, so that the bits of a lane do not depend on who
+else is there: the recording of a session here is made again in a classroom with one pupil.
 
 Methods may be called from several threads. Of each pupil one thing happens at a time, which its caller sees to; the
 steps of others do not wait for a correction.
