@@ -64,13 +64,13 @@ def put(origin: Origin, start: Path, course: Course) -> None:
         whence = {"saved": folder.name}
     else:
         found = origin
-        folder, (source, state) = origin.folder, learned_of(origin.folder, "state", origin.row)
+        folder, (source, state) = origin.folder, learned_of(origin.folder, "state", origin.row, grown=False)
         whence = {"run": folder.name, "seed": origin.seed, "episode": int(origin.row["episode"])}
     place = f"--from {folder}"
     cell = course.cell(1)
     learner = learner_of(cell, DICTIONARY)
     # How the dictionary of another's learner grows is its own affair: an equal one goes on with what it has.
-    if course.algo in built_in("learner") or not eqx.tree_equal(source, learner):
+    if course.algo in built_in("learner") or not _is_same(source, learner):
         state = carried(source, state, learner, (DICTIONARY, DICTIONARY), place)
     if found.settings is not None and found.algo == course.algo and found.env in (None, course.env):
         _check_made_by(place, found.settings, course, source)
@@ -92,8 +92,13 @@ def _check_made_by(place: str, settings: Mapping[str, Any], course: Course, sour
     made = Recipe(recipe.algo, recipe.env, {**recipe.settings, **room}).made()
     for each in dataclasses.fields(source):
         old, new = (getattr(learner, each.name, None) for learner in (source, made))
-        if not eqx.tree_equal(*(jax.tree.map(np.asarray, one) for one in (old, new))):
+        if not _is_same(old, new):
             raise UserError(
                 f"{place}: its {each.name} is {shown(old)}, and no setting of a lesson says so (it would be "
                 f"{shown(new)}): make a class or a function of your own that has it, or give another folder"
             )
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether all is the same, whatever its numbers are kept in."""
+    return bool(eqx.tree_equal(*(jax.tree.map(np.asarray, each) for each in (one, other))))

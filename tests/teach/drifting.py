@@ -54,3 +54,20 @@ class Turned(Linear):
 
     def propose(self, state, obs):
         return self.reach * state @ obs * (1.0 if self.way == "forth" else -1.0)
+
+
+class Growing(Turned):
+    """The same, and it keeps what it saw, with room that grows."""
+
+    def init(self, key=None):
+        return {"weights": super().init(), "seen": jnp.zeros((4, self.obs_size))}
+
+    def propose(self, state, obs):
+        return super().propose(state["weights"], obs)
+
+    def learn(self, state, moment, advice, key):
+        weights, info = super().learn(state["weights"], moment, advice, key)
+        return {"weights": weights, "seen": jnp.roll(state["seen"], 1, 0).at[0].set(moment.obs)}, info
+
+    def grow(self, state):
+        return {**state, "seen": jnp.concatenate([state["seen"], jnp.zeros_like(state["seen"])])}

@@ -193,6 +193,22 @@ def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
     np.testing.assert_allclose(taught.session.act(OBS), OBS @ [1.0, 2.0])
 
 
+@pytest.mark.parametrize("words", [(), ("--set", "reach=3")])
+def test_a_learner_of_ones_own_goes_on_with_the_room_that_it_had(course_of, tmp_path, words):
+    names = {"algo": "tests.teach.drifting:Growing", "oracle": "pump", "env": "mountaincar"}
+    out = sweep(
+        tmp_path / "out",
+        executor=Learned("states", learned_by_cells),
+        keep="states",
+        **names,
+        seeds=1,
+        episodes=3,
+    )
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(tmp_path / "lesson", *course_of("--from", str(out), *words))
+    assert taught.session.state["seen"].shape == (4, 2) and np.any(taught.session.state["weights"])
+
+
 # --- with a saved learner
 
 
