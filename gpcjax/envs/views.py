@@ -49,7 +49,7 @@ def check_view(source: str, view: Any, sizes: tuple[int, int]) -> None:
         raise UserError(
             f"{source}: scene {shown(view.scene)}: give none, or the one of its {size} numbers: {drawn}"
         )
-    axes = [plain(axis) for axis in _listed(source, view, "axes")]
+    axes: list[Any] = [plain(axis) for axis in _listed(source, view, "axes")]
     if len(axes) != 2 or not all(type(axis) is int and axis >= 0 for axis in axes):
         raise UserError(f"{source}: axes {shown(view.axes)}: give the places of two numbers, from 0")
     # Those that nobody gave are of any task: of one with a single number the page shows that alone.
