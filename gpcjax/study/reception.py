@@ -19,7 +19,7 @@ from gpcjax.study.protocol import EXPERIMENTER, LONGEST, PARTICIPANT
 from gpcjax.study.register import Refused, Register
 from gpcjax.study.showing import hello
 from gpcjax.study.sitting import Sitting
-from gpcjax.study.status import line_of
+from gpcjax.study.status import lesson_of, line_of
 from gpcjax.study.steps import Step
 from gpcjax.teach.pages import Page, attended, leave
 from gpcjax.teach.protocol import Command, parse
@@ -246,7 +246,7 @@ class Reception:
             row |= {"here": sitting.page is not None, "held": sitting.held, "hidden": sitting.hidden}
             row["problem"] = sitting.problem
             if sitting.seat is not None:
-                row["lesson"] = _lesson(sitting)
+                row["lesson"] = lesson_of(sitting.seat.standing, sitting.state)
         return row
 
     def _report(self) -> None:
@@ -292,12 +292,3 @@ class Reception:
         for sitting in list(self._sittings.values()):
             await sitting.close()
         await self.clerk(lambda: None)
-
-
-def _lesson(sitting: Sitting) -> dict[str, Any]:
-    """How a run stands, for the experimenter."""
-    standing = sitting.seat.standing if sitting.seat is not None else None
-    names = ("episode", "step", "total", "corrections")
-    told = {name: getattr(standing, name, None) for name in names}
-    paused = sitting.state["paused"]
-    return {**told, "why": sitting.state.get("why", "") if paused else ""}
