@@ -11,18 +11,20 @@ OUT/manifest.json, episodes/, corrections/    its rows, as those of a sweep
 import dataclasses
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from gpcjax.allowed import suggestion
 from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD
 from gpcjax.registry import find
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.given import Given, Unchecked
-from gpcjax.sweep.options import OPTIONS, accept
+from gpcjax.sweep.options import OF_CREDIT, OPTIONS, TUNING, accept
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.seeds import Seeds
@@ -71,6 +73,7 @@ class Course:
         for name, setting in given.items():
             if isinstance(setting.value, tuple) and len(setting.value) > 1 and name not in SCALES:
                 raise UserError(f"{setting.source}: one person teaches one learner at a time, give one value")
+        _check_known(given)
         spec = make_spec(given | {"teacher": Given("person", "teacher")}, live=True)
         for name, values in spec.hyperparameters.items():
             if len(values) > 1:
@@ -79,9 +82,6 @@ class Course:
                 )
         numbers = tuple((name, values[0]) for name, values in spec.hyperparameters.items())
         variants = tuple((name, getattr(spec, name)) for name in VARIANTS if name in given)
-        known = {"env", "algo", *dict(numbers), *dict(variants)}
-        for name in given.keys() - known:
-            raise UserError(f"{given[name].source}: what a person teaches has no such setting, leave it out")
         return cls(spec.env, spec.algo[0], numbers, seed, variants)
 
     def spec(self, episodes: int) -> SweepSpec:
@@ -153,6 +153,22 @@ class Course:
                     course.spec(1)  # refuses what does not fit
                     return course
         raise UserError(f"{path}: it is damaged, or of another version")
+
+
+def _check_known(given: Mapping[str, Given | Unchecked]) -> None:
+    """Raises UserError: there is something that a lesson has not, though a sweep may. Others' settings pass."""
+    if "algo" not in given:
+        return
+    learner = find("learner", given["algo"].value[0])
+    known = [each.name for each in (*learner.settings, *OF_CREDIT)]
+    known += [name for name in VARIANTS if name in learner.options]
+    passing = {"env", "algo", *known, *VARIANTS, *(each.name for each in TUNING)}
+    for name, setting in given.items():
+        if name not in passing:
+            raise UserError(
+                f"{setting.source}: what a person teaches has no such setting{suggestion(name, known)}, give "
+                f"{', '.join(known)}"
+            )
 
 
 def _as_given(variants: dict[str, Any]) -> tuple[tuple[str, Any], ...]:

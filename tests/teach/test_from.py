@@ -347,9 +347,33 @@ def test_a_setting_that_is_no_number_is_told_with_its_folder(credit, capsys, mon
     assert "--from odd: its credit" in said and "is no number" in said and said.count("\n") == 1
 
 
-def test_what_is_no_setting_of_a_lesson_is_refused(capsys):
-    assert cli.main(["teach", "--env", "mountaincar", "--set", "rate=0.5"]) == 2
-    assert "--set rate: what a person teaches has no such setting" in capsys.readouterr().err
+def test_variants_are_given_by_flags(course_of):
+    words = ("--scaling", "1,2", "--human-scaling", "1,2,3", "--no-sparsify")
+    course, _ = course_of("--env", "mountaincar", *words)
+    assert dict(course.variants) == {
+        "scaling": (1.0, 2.0),
+        "human_scaling": (1.0, 2.0, 3.0),
+        "sparsify": False,
+    }
+    saved("kept", "gpc", "mountaincar", scaling=(3.0, 4.0), sparsify=False)
+    course, _ = course_of("--from", "kept", "--scaling", "1,2", "--sparsify")
+    assert dict(course.variants) == {"scaling": (1.0, 2.0), "sparsify": True}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            "rate=0.5",
+            "--set rate: what a person teaches has no such setting, give policy_length_scale, policy_v",
+        ),
+        ("beta=3", "--set beta: with gpc alone it changes nothing, give it with coach"),
+        ("nose=3", "--set nose: what a person teaches has no such setting (did you mean noise?), give"),
+    ],
+)
+def test_what_is_no_setting_of_a_lesson_is_refused(words, line, capsys):
+    assert cli.main(["teach", "--env", "mountaincar", "--set", words]) == 2
+    assert line in capsys.readouterr().err
 
 
 def test_a_setting_for_each_action_dimension_is_none_of_a_lesson(tmp_path):
