@@ -4,6 +4,7 @@ Over 300 lines: what happens live and what is made again count alike, and are re
 """
 
 import contextlib
+import math
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -186,10 +187,10 @@ class Taught:
         if not self.behind:
             try:
                 moved = self.world.step(self.session.action)
+                self.moved(moved)
             except UserError:
                 self.broken = True
                 raise
-            self.moved(moved)
             self._moved = moved
         return self.catch_up()
 
@@ -218,8 +219,17 @@ class Taught:
         return None
 
     def moved(self, moved: Moved) -> None:
-        """Counts a step of the task: the first part of `step`."""
-        self.present.total += moved.reward
+        """Counts a step of the task: the first part of `step`.
+
+        Raises:
+            UserError: its reward leads beyond all numbers: of no return that could be written down.
+        """
+        total = self.present.total + moved.reward
+        if not math.isfinite(total):
+            raise UserError(
+                f"a step of the task gave the reward {moved.reward}, with which those of the episode add up to {total}"
+            )
+        self.present.total = total
         self.present.length += 1
 
     def proposed(self) -> None:

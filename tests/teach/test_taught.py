@@ -484,6 +484,7 @@ class TestFailing:
         [
             ("Odd", "reward nan, its reward must be a finite number"),
             ("Unseen", "each entry must be finite"),
+            ("Endless", "the reward 1e[+]308, with which those of the episode add up to inf"),
             ("Broken", "its step fails .RuntimeError: a wheel came off"),
         ],
     )
