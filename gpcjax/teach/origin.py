@@ -72,7 +72,7 @@ def of_run(
     if algo in (None, row["algo"]) and env in (None, learned):
         try:
             card, arrays = unpacked(row["card"], row["arrays"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise UserError(
                 f"{place}: what {row['algo']} learned with seed {row['seed']} is damaged ({error})"
             ) from None

@@ -13,6 +13,7 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
 from gpcjax.registry import built_in
 from gpcjax.sweep.build import learner_of
+from gpcjax.sweep.kept import kept_rows
 from gpcjax.sweep.run import sweep
 from gpcjax.teach.course import COURSE, SAVES, START, Course
 from gpcjax.teach.origin import of_run
@@ -97,6 +98,14 @@ def test_it_must_be_clear_which(folder, words, line, capsys, monkeypatch, tmp_pa
     assert cli.main(["teach", "--from", str(folder), *words]) == 2
     said = capsys.readouterr().err
     assert line in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("card", ["", "{}", '{"arrays": 3}', '{"arrays": {"learner.noise": ["f8", [9]]}}'])
+def test_a_damaged_state_of_a_run_is_told(folder, monkeypatch, card):
+    kept = kept_rows(folder, "state", {}).assign(card=card)
+    monkeypatch.setattr("gpcjax.teach.origin.kept_rows", lambda *given: kept)
+    with pytest.raises(UserError, match=r"--from .*: what gpc learned with seed 0 is damaged"):
+        of_run(folder, "gpc", 0, {"error": "0"})
 
 
 def test_what_means_nothing_to_the_learner_is_refused(folder, tmp_path):
