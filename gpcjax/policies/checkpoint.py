@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -20,11 +21,18 @@ _OS_ERROR = re.compile(r"\[os_error_code='(\d{1,4})'\]")
 _ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
 """The file with which an array says what it is, and the driver that reads one of its kind."""
 
+_ONE_AT_A_TIME = threading.Lock()
+"""Orbax's savers share what they wait for, and what is silenced meanwhile is of the whole process: two that save at once
+waited for each other for ever, or left it silent. Nothing is shared by those that read."""
+
 
 def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full."""
+    """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full.
+
+    Threads that save at the same time do so one after the other.
+    """
     why = None
-    with _quietly():
+    with _ONE_AT_A_TIME, _quietly():
         try:
             with _checkpointer() as checkpointer:
                 checkpointer.save(folder.absolute(), dict(arrays))
