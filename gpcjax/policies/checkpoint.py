@@ -22,8 +22,8 @@ _ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
 """The file with which an array says what it is, and the driver that reads one of its kind."""
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Orbax's savers share what they wait for, and what is silenced meanwhile is of the whole process: two that save at once
-waited for each other for ever, or left it silent. Nothing is shared by those that read."""
+"""Orbax's savers share what they wait for, and what is silenced meanwhile is of the whole process: two that saved at
+once waited for each other for ever, or left it silent. Nothing is shared by those that read."""
 
 
 def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
