@@ -19,6 +19,7 @@ from gpcjax.engine.traced import Function, traced
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
+from gpcjax.learners.calls import unless_given_away
 from gpcjax.policies.base import vector
 
 FIRST_SEED = Numbers(0, 1_000_000_000, whole=True)
@@ -85,7 +86,8 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
         eqx.combine(arrays, static), lambda obs: act(values, obs), seeds
     )
     seeds = first + jnp.arange(starts)
-    return program(run, arrays, values, seeds)(arrays, values, seeds)
+    with unless_given_away(values):
+        return program(run, arrays, values, seeds)(arrays, values, seeds)
 
 
 def idle(env: Env | HostEnv) -> Function:
@@ -186,7 +188,12 @@ def _together(env: HostEnv, values: Any, act: Callable[..., Any], starts: int) -
     """A policy that jax can trace, for all lanes at once."""
     batch = jax.vmap(act, in_axes=(None, -1), out_axes=-1)
     batch = program(batch, values, jnp.zeros((env.obs_size, starts)))
-    return lambda obs, going: np.asarray(batch(values, jnp.asarray(obs)), np.float64)
+
+    def actions(obs: Float[np.ndarray, "obs lanes"], going: list[int]) -> Float[np.ndarray, "action lanes"]:
+        with unless_given_away(values):
+            return np.asarray(batch(values, jnp.asarray(obs)), np.float64)
+
+    return actions
 
 
 def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:

@@ -6,12 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
+from gpcjax.fixed import fixed
 from gpcjax.learners.calls import Called, check_kept
 from gpcjax.learners.forms import check
 from gpcjax.learners.info import Info
@@ -75,6 +77,7 @@ def rehearse(learner: Learner, state: State) -> None:
     """
     if type(learner).__module__.startswith("gpcjax."):
         return
+    check_fields(learner)
     if state is None:
         state = learner.init(seeded_key())
     obs, none = jnp.zeros(learner.obs_size), jnp.zeros(learner.action_size)
@@ -92,6 +95,14 @@ def check_state(learner: Learner, state: State) -> None:
         if shapes == [leaf.shape for leaf in jax.tree.leaves(expected)]:
             return
     raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+
+
+def check_fields(learner: Learner) -> None:
+    """Refuses a learner whose numbers cannot be traced: functions or texts are in one field with some of them."""
+    for path, leaf in jax.tree.leaves_with_path(fixed(learner)):
+        if not isinstance(leaf, bool | int | float | complex | np.number | np.bool_ | np.ndarray | jax.Array):
+            name = f"{type(learner).__name__}{jax.tree_util.keystr(path)}"
+            raise UserError(f"{name} {shown(leaf)}: there are numbers beside it, give it a field of its own")
 
 
 def _shape(leaf: Any) -> tuple[int, ...] | None:
