@@ -145,7 +145,7 @@ class Remembered:
             self._contents.append(Content(thing, *how, content, content))
             return () if isinstance(thing, RANDOM) else _parts(content)
         if _library(type(thing).__module__):
-            return (thing.__wrapped__,) if hasattr(thing, "__wrapped__") else ()
+            return (getattr(thing, "__wrapped__", None),)
         return self._of_an_object(thing)
 
     def _of_a_function(self, function: types.FunctionType) -> Iterable[Any]:
