@@ -52,6 +52,7 @@ class Called:
         if learners is None or not (are_arrays and _are_arrays(vectors)):
             # Part of what jax traces, or something to be refused: where it is traced, as ever.
             check_kept(leaves)
+            check_arrays(leaves)
             return self._otherwise(learner, state, *vectors)
         if leaves and _is_gone(leaves[0]):
             raise _given_away()
@@ -68,9 +69,10 @@ class Called:
                 self._programs.move_to_end(key)
         try:
             return program(numbers, leaves, *vectors)
-        except (RuntimeError, ValueError):  # jax's two of them, where another thread came before
-            if any(map(_is_gone, leaves)):
+        except (RuntimeError, ValueError, TypeError):  # jax's own
+            if any(map(_is_gone, leaves)):  # where another thread came before
                 raise _given_away() from None
+            check_arrays(leaves)
             raise
 
     def _program(self, kind: Any, form: Any, donate: bool) -> Function:
@@ -87,6 +89,18 @@ def check_kept(state: Any) -> None:
     """Raises UserError: the state was given away, so that there is nothing in its arrays."""
     if any(map(_is_gone, jax.tree.leaves(state))):
         raise _given_away()
+
+
+def check_arrays(state: Any) -> None:
+    """Raises UserError: an array of numpy's has no numbers that jax knows, such as texts, or masks some."""
+    for leaf in jax.tree.leaves(state):
+        if isinstance(leaf, np.ndarray):
+            try:
+                jax.eval_shape(lambda leaf: leaf, leaf)
+            except (TypeError, ValueError):
+                raise UserError(
+                    f"state: it holds {type(leaf).__name__} of {leaf.dtype}, give an array of plain numbers"
+                ) from None
 
 
 @contextlib.contextmanager
@@ -186,7 +200,8 @@ def _are_arrays(leaves: Sequence[Any]) -> bool:
         ):
             return False
         _concrete.add(new)
-    return True
+    # Bytes in the other order jax reads as if they were in its own, once it has compiled a program.
+    return all(leaf.dtype.isnative for leaf in leaves if type(leaf) is np.ndarray)
 
 
 def _can_be_given(leaves: Sequence[Any], others: Sequence[Any]) -> bool:

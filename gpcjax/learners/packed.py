@@ -91,7 +91,10 @@ def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[st
     recipe = recipe_of(learner)
     check_fields(learner)
     check_plain("this learner cannot be saved", recipe.algo, (learner, state))
-    template, odd = made_again(recipe, shapes_of((learner, state)))
+    try:
+        template, odd = made_again(recipe, shapes_of((learner, state)))
+    except UserError as error:
+        raise UserError(f"{_ANOTHER} ({error})") from None
     check_plain("this learner cannot be saved", recipe.algo, template)
     odd = odd or differing(learner, template[0])
     if not odd and jax.tree.structure((learner, state)) != jax.tree.structure(template):

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -74,13 +75,20 @@ def _is_told(value: object, default: object) -> bool:
 
 def differing(learner: Learner, made: Learner) -> str:
     """In which field a learner is another one than its recipe has made, as far as its arrays do not tell it, or ""."""
-    for name in (each.name for each in dataclasses.fields(learner)):
-        given, other = getattr(learner, name), getattr(made, name)
-        if callable(given) and given != other:
-            return f"{name} is another function than its class has: write a class that has it"
-        if jax.tree.structure(given) != jax.tree.structure(other):
-            return f"{name} {shown(given)} is {shown(other)} as its class makes it"
+    for field in dataclasses.fields(learner):
+        given, other = getattr(learner, field.name), getattr(made, field.name)
+        same = given == other if field.metadata.get("static") else _form(given) == _form(other)
+        if not same and isinstance(given, eqx.Module):
+            return f"{field.name} has another structure than its class gives it"
+        if not same and callable(given):
+            return f"{field.name} is another function than its class has: write a class that has it"
+        if not same:
+            return f"{field.name} {shown(given)} is {shown(other)} as its class makes it"
     return ""
+
+
+def _form(value: Any) -> Any:
+    return value if callable(value) and not isinstance(value, eqx.Module) else jax.tree.structure(value)
 
 
 def check_plain(place: str, name: str, tree: Any) -> None:

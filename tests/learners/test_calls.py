@@ -441,6 +441,49 @@ def test_a_state_of_another_learner_is_refused(differs):
             call()
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [
+        np.ma.array(np.zeros(1), mask=[True]),
+        np.array(["a"]),
+        np.zeros(1, ">f8"),
+        np.array([None]),
+        np.zeros(1, "M8[s]"),
+    ],
+    ids=["masked", "text", "bytes in the other order", "objects", "times"],
+)
+def test_arrays_that_jax_does_not_know_are_refused(odd):
+    learner = counting()
+    learner.act({**learner.init(), "total": np.zeros(1)}, np.zeros(2))  # compiled: jax looks less closely now
+    state = {**learner.init(), "total": odd}
+    for call in (
+        lambda: learner.act(state, np.zeros(2)),
+        lambda: learner.correct(state, np.zeros(2), [0.0], [1]),
+        lambda: learner.policy_of(state),
+        lambda: gpcjax.Session(learner, state),
+    ):
+        with pytest.raises(ValueError, match=r"^state: it holds .* give an array of plain numbers$"):
+            call()
+
+
+def test_a_state_with_a_function_in_it_is_told():
+    class Netted(Linear):
+        def init(self, key=None):
+            return eqx.nn.MLP(self.obs_size, self.action_size, 2, 1, key=jax.random.key(0))
+
+    learner = Netted(**SIZES)
+    state = learner.init()
+    for call in (
+        lambda: learner.act(state, np.zeros(3)),
+        lambda: learner.policy_of(state),
+        lambda: gpcjax.Session(learner),
+    ):
+        with pytest.raises(
+            ValueError, match=r"^Netted.init does not fit \(its state.activation is a custom_jvp"
+        ):
+            call()
+
+
 def test_a_state_of_any_room_is_ones_own():
     learner = make_learner("gpc", obs_size=2, action_size=1, capacity=4)
     for state in (learner.grow(learner.init()), learner.resize(learner.init(), 32, 4)):

@@ -1,11 +1,13 @@
 """What a learner of a person's own has learned, as arrays and the recipe that makes it again."""
 
 import dataclasses
+import enum
 import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -223,6 +225,39 @@ class Roomy(Counting):
 
     def _like(self, state):
         return {**self.init(), "kept": jnp.zeros(state["kept"].shape)}
+
+
+class Shade(enum.Enum):
+    DARK = 1
+    LIGHT = 2
+
+
+class Odd(Counting):
+    """Fields of kinds that have no form on a card, and settings whose class takes whole numbers alone."""
+
+    shade: Shade = Shade.DARK
+    layer: eqx.nn.Linear | None = None
+    key: Any = None
+    sharpness: float = 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"shade": Shade.LIGHT}, r"\(shade <Shade.LIGHT: 2> is <Shade.DARK: 1> as its class makes it\)$"),
+        (
+            {"layer": eqx.nn.Linear(2, 1, key=jax.random.key(0))},
+            r"\(learner.layer.weight is of shape \(1, 2\), and",
+        ),
+        ({"key": jax.random.key(3)}, r"its learner.key is no array of numbers \(of a random key"),
+        ({"sharpness": 2.5}, r"cannot be saved: .* \(sharpness 2.5: give a whole number"),
+    ],
+)
+def test_what_a_class_does_not_make_is_named(settings, message, tmp_path):
+    learner = Odd(obs_size=2, action_size=1, **settings)
+    with pytest.raises(UserError, match=message):
+        gpcjax.save_learner(tmp_path / "saved", learner, begun(learner, 0))
+    assert not list(tmp_path.iterdir())
 
 
 SINGLE, LARGE = np.float32(0.3), {"gain": [0.1, 0.2], "where": 0.5}
