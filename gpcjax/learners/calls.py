@@ -19,6 +19,7 @@ from jax.core import Tracer
 
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
+from gpcjax.recent import recent
 
 Function = Callable[..., Any]
 
@@ -59,14 +60,7 @@ class Called:
         numbers, kind = learners
         donate = donate and _can_be_given(leaves, numbers)
         key = kind, form, donate
-        program = self._programs.get(key)
-        if program is None:
-            program = self._programs[key] = self._program(*key)
-            while len(self._programs) > KEPT:
-                self._programs.popitem(last=False)
-        else:
-            with contextlib.suppress(KeyError):  # another thread has dropped it since
-                self._programs.move_to_end(key)
+        program = recent(self._programs, key, lambda: self._program(*key), KEPT)
         try:
             return program(numbers, leaves, *vectors)
         except (RuntimeError, ValueError, TypeError):  # jax's own

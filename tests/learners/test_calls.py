@@ -22,6 +22,7 @@ from gpcjax.learners import calls
 from gpcjax.learners.base import Status
 from gpcjax.learners.compiled import act
 from gpcjax.learners.factory import make_learner
+from gpcjax.policies import base
 from tests.trees import assert_same_bits
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -283,6 +284,13 @@ def test_programs_of_functions_made_anew_do_not_pile_up(monkeypatch):
     with compilations() as after:
         learners[0].act(state, obs)
     assert not after
+    monkeypatch.setattr(base, "KEPT", 3)
+    monkeypatch.setattr(base, "_programs", type(act._programs)())
+    for learner in learners:
+        np.testing.assert_array_equal(learner.policy_of(state)(obs), learner.act(state, obs))
+    assert len(base._programs) == 3
+    np.testing.assert_array_equal(jax.jit(learner.policy_of(state))(obs), learner.act(state, obs))
+    assert len(base._programs) == 3
 
 
 def test_numbers_of_pythons_are_no_programs_of_their_own():
