@@ -118,22 +118,39 @@ def first_line(error: BaseException) -> str:
     return (line or type(error).__name__)[:200]
 
 
+_SPEAKERS = frozenset(("absl", "asyncio", "concurrent", "etils", "jax", "orbax", "tensorstore"))
+"""Whose loggers have something to say of a checkpoint."""
+
+
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
+    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours.
+
+    What other threads log meanwhile is heard: it may be a robot's.
+    """
     import logging
     import warnings
 
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import orbax.checkpoint  # noqa: F401  (makes its loggers)
+
+        loggers = [
+            logger
+            for name, logger in tuple(logging.root.manager.loggerDict.items())
+            if name.partition(".")[0] in _SPEAKERS
+            and isinstance(logger, logging.Logger)
+            and not logger.disabled
+        ]
+        hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
+        try:
+            for logger in loggers:
+                logger.disabled = True
             yield
-    finally:
-        sys.unraisablehook = hook
-        logging.disable(before)
+        finally:
+            for logger in loggers:
+                logger.disabled = False
+            sys.unraisablehook = hook
 
 
 def _checkpointer() -> Any:

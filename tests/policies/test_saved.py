@@ -115,12 +115,15 @@ class TestSaving:
             gpcjax.save_policy(tmp_path / "policy", learner, state)
         assert not list(tmp_path.iterdir())
 
-    def test_threads_that_save_at_once_do_so_one_after_the_other(self, tmp_path, monkeypatch):
-        """What saves is of the whole process: its words are silenced for one, and heard again after the last."""
+    def test_threads_that_save_at_once_do_so_one_after_the_other(self, tmp_path, monkeypatch, caplog):
+        """What saves is of the whole process: its words are silenced for one, and heard again after the last.
+
+        Nobody else's are.
+        """
         import orbax.checkpoint
 
         learner, state = taught("coach")
-        before = logging.root.manager.disable, sys.unraisablehook
+        before = logging.getLogger("absl").disabled, sys.unraisablehook
         inside, met, raised = [], threading.Event(), []
         saving = orbax.checkpoint.StandardCheckpointer.save
 
@@ -128,6 +131,8 @@ class TestSaving:
             inside.append(threading.current_thread())
             if len(inside) > 1:
                 met.set()
+            logging.getLogger("absl").error("not heard")
+            logging.getLogger("robot").error("heard")
             met.wait(0.2)  # gives the other one time to come where it should not
             saving(checkpointer, *arguments)
             inside.pop()
@@ -145,7 +150,8 @@ class TestSaving:
         for thread in threads:
             thread.join(60)
         assert not met.is_set() and not raised
-        assert (logging.root.manager.disable, sys.unraisablehook) == before
+        assert (logging.getLogger("absl").disabled, sys.unraisablehook) == before
+        assert caplog.messages == ["heard"] * 2
         for name in "ab":
             assert_same_bits(gpcjax.load_learner(tmp_path / name)[1], state)
 
