@@ -6,6 +6,7 @@ meanwhile, such as a loop that teaches in another thread, is not touched.
 """
 
 import collections
+import contextlib
 import contextvars
 import functools
 import inspect
@@ -77,13 +78,17 @@ class Remembered:
         waiting = collections.deque([function])
         while waiting and len(seen) < MOST:
             thing = waiting.popleft()
-            if isinstance(thing, Tracer):
-                self.tracers[id(thing)] = thing
-            if id(thing) in seen or isinstance(thing, jax.Array):
+            if id(thing) in seen:
                 continue
-            seen.add(id(thing))
-            further = (part for part in self._look_at(thing) if type(part) not in _PLAIN)
-            waiting.extend(itertools.islice(further, MOST))
+            with contextlib.suppress(
+                Exception
+            ):  # what refuses to be looked at, such as what stands for what is gone
+                if isinstance(thing, jax.Array):
+                    self.tracers |= {id(thing): thing} if isinstance(thing, Tracer) else {}
+                    continue
+                seen.add(id(thing))
+                further = (part for part in self._look_at(thing) if type(part) not in _PLAIN)
+                waiting.extend(itertools.islice(further, MOST))
 
     def look_again(self) -> None:
         """What there is now is what a call has left."""
@@ -233,19 +238,24 @@ class Remembered:
             if not _library(each.__module__):
                 parts += self._of_a_class(each)
                 # By their names as they are kept: one that begins with __ has its class's before it.
-                slots = [name for name, value in vars(each).items() if inspect.ismemberdescriptor(value)]
-                parts += self._slots(thing, tuple(slots), freely=bool(others))
+                slots = {
+                    name: value for name, value in vars(each).items() if inspect.ismemberdescriptor(value)
+                }
+                parts += self._slots(thing, slots, freely=bool(others))
         return *parts, *self._attributes(thing, freely=bool(others))
 
-    def _slots(self, thing: Any, names: tuple[str, ...], freely: bool) -> Iterable[Any]:
+    def _slots(self, thing: Any, slots: dict[str, Any], freely: bool) -> Iterable[Any]:
         def read() -> dict[str, Any]:
-            found = {name: getattr(thing, name, MISSING) for name in names}
-            return {name: value for name, value in found.items() if value is not MISSING}
+            found = {}
+            for name, slot in slots.items():
+                with contextlib.suppress(AttributeError):  # nothing there yet
+                    found[name] = slot.__get__(thing)
+            return found
 
         def write(name: str, value: Any) -> None:
             object.__delattr__(thing, name) if value is MISSING else object.__setattr__(thing, name, value)
 
-        if names:
+        if slots:
             self._keep(thing, read, write, freely)
         return read().values()
 

@@ -261,6 +261,27 @@ def test_memory_that_is_hard_to_see(begin):
     assert not isinstance(policy(np.ones(2)), jax.core.Tracer)
 
 
+class Refusing:
+    """Nothing of it can be looked at."""
+
+    def __getattribute__(self, name):
+        raise RuntimeError(name)
+
+
+def test_what_refuses_to_be_looked_at_is_let_be():
+    """An object of that kind, and what stands for one that is gone, beside what is remembered."""
+    gone, refusing, last = weakref.proxy(Kept()), Refusing(), [np.zeros(2)]
+
+    def policy(obs, beside=(gone, refusing)):
+        last[0] = 0.9 * last[0] + 0.1 * obs
+        return -last[0]
+
+    got = evaluate(Drift(), policy, 2)
+    assert isinstance(last[0], np.ndarray)
+    last[0] = np.zeros(2)
+    np.testing.assert_allclose(got.returns, evaluate(Drift(), lambda obs: policy(np.asarray(obs)), 2).returns)
+
+
 def test_memory_that_nobody_sees_is_told(monkeypatch):
     """Where no module of a person's has it; called on the host from the first line on, it is not traced."""
     monkeypatch.setattr(np, "last", np.zeros(2), raising=False)
