@@ -82,7 +82,7 @@ class Remembered:
                 continue
             with contextlib.suppress(
                 Exception
-            ):  # what refuses to be looked at, such as what stands for what is gone
+            ):  # of what refuses to be looked at, as a proxy of what is gone
                 if isinstance(thing, jax.Array):
                     self.tracers |= {id(thing): thing} if isinstance(thing, Tracer) else {}
                     continue
