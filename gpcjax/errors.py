@@ -14,6 +14,7 @@ _OF_THE_MACHINE = (
     errno.EIO,
     errno.EMFILE,
     errno.ENFILE,
+    errno.ENOMEM,
 )
 
 

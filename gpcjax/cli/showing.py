@@ -77,10 +77,9 @@ def runs(below: Path, as_json: bool) -> int:
 
 def show_folder(out: Path, as_json: bool) -> int:
     """`gpcjax show`."""
-    from gpcjax.sweep.listing import contents, look
+    from gpcjax.sweep.listing import looked_into
 
-    folder = look(out)
-    held = contents(folder)
+    folder, held = looked_into(out)
     if as_json:
         print(json.dumps(folder.as_json() | dataclasses.asdict(held)))
         return 0

@@ -1,6 +1,7 @@
 """Named arrays in a checkpoint of orbax's, which tensorstore reads; silently, and wrong in one way only."""
 
 import contextlib
+import errno
 import os
 import re
 import shutil
@@ -29,7 +30,7 @@ once waited for each other for ever, or left it silent. Nothing is shared by tho
 def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full.
 
-    Threads that save at the same time do so one after the other.
+    What else they raise is let through. Threads that save at the same time do so one after the other.
     """
     why = None
     with _ONE_AT_A_TIME, _quietly():
@@ -37,13 +38,30 @@ def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
             with _checkpointer() as checkpointer:
                 checkpointer.save(folder.absolute(), dict(arrays))
         except Exception as error:
-            found = _OS_ERROR.search(str(error))
-            number = int(found[1]) if found else getattr(error, "errno", None) or 0
-            why = OSError(number, os.strerror(number) if number else first_line(error))
+            why = _of_the_system(error) or error
             _settle(folder)
     if why is not None:
         _drop_late_words()
         raise why
+
+
+def _of_the_system(error: BaseException) -> OSError | None:
+    """What the system refused, as far as an exception, or one behind it, tells; None if it is of another kind."""
+    left, seen = [error], list[BaseException]()
+    while left:
+        each = left.pop()
+        if each in seen:
+            continue
+        seen.append(each)
+        found = _OS_ERROR.search(str(each))
+        number = int(found[1]) if found else getattr(each, "errno", None) or 0
+        if found or isinstance(each, OSError):
+            return OSError(number, os.strerror(number) if number else first_line(each))
+        if isinstance(each, MemoryError):
+            return OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+        behind = [each.__cause__, each.__context__, *getattr(each, "exceptions", ())]
+        left += [one for one in behind if isinstance(one, BaseException)]
+    return None
 
 
 def _settle(folder: Path) -> None:

@@ -37,12 +37,14 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
 
     Raises:
         FileExistsError: there is something at `path`.
-        ValueError: a value of the card is not finite, or too large, or nothing can be written at `path`.
+        ValueError: a value of the card is not finite, or too large, an array has no entries, or other than numbers and
+            truth values; or nothing can be written at `path`.
         TypeError: a value of the card that JSON does not know.
     """
     path = checked_path("path", path)
     if os.path.lexists(path):
         raise FileExistsError(f"{path} exists: choose another path, or remove it first")
+    _refuse_unkept(path, arrays)
     shapes = {name: list(value.shape) for name, value in arrays.items()}
     text = _json({"format": FORMAT, **card, "arrays": shapes})
     try:
@@ -63,6 +65,20 @@ def write_folder(path: Any, card: Mapping[str, Any], arrays: Mapping[str, np.nda
     except OSError as error:
         told = error.strerror or first_line(error)
         raise unwritten(error, f"{path}: it cannot be written there ({told}), give another path") from None
+
+
+def _refuse_unkept(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Refuses arrays that a checkpoint does not take. Raises UserError."""
+    if not arrays:
+        raise UserError(f"{path}: there is no array with an entry to save")
+    for name, value in arrays.items():
+        if not value.size:
+            raise UserError(f"{path}: {name} has no entries (shape {value.shape}), which cannot be saved")
+        # Numbers of other libraries (bfloat16) are of kind V to numpy, as records are, which have names.
+        if value.dtype.kind not in "biufcV" or value.dtype.names is not None:
+            raise UserError(
+                f"{path}: {name} has entries of {value.dtype}, which cannot be saved: give numbers"
+            )
 
 
 def read_card(path: Any, what: str) -> dict[str, Any]:

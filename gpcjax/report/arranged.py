@@ -55,7 +55,7 @@ class Lines(NamedTuple):
 def without_cut(episodes: Episodes) -> tuple[Episodes, int]:
     """The same without the episodes of a lesson that were ended before the task did, and how many these are.
 
-    Those that are left are counted from 1 again.
+    Those that are left are counted from 1 again; `totals` are of these anyway. Runs of which none is left are left out.
     """
     cut = np.array([status == CUT for status in episodes.status.values], bool)[episodes.status.codes]
     if not cut.any():
@@ -66,14 +66,15 @@ def without_cut(episodes: Episodes) -> tuple[Episodes, int]:
     earlier = np.empty(len(cut), np.int64)
     earlier[order] = before - np.concatenate([[0], before])[first]
     kept = ~cut
-    return replace(
+    left = replace(
         episodes,
         cell=episodes.cell[kept],
         episode=(episodes.episode - earlier)[kept].astype(np.int32),
         returns=episodes.returns[kept],
         corrections=episodes.corrections[kept],
         status=Coded(episodes.status.codes[kept], episodes.status.values),
-    ), int(cut.sum())
+    )
+    return left.of_cells(np.bincount(left.cell, minlength=len(left.seeds)) > 0), int(cut.sum())
 
 
 def broken(episodes: Episodes) -> Bool[np.ndarray, "rows"]:

@@ -86,6 +86,8 @@ def uncounted(folders: Iterable[Folder]) -> list[str]:
             parts.append(f"{_runs(unfinished)} not finished, in no number")
         if folder.study.cut:
             parts.append(f"{words.cut_short(folder.study.cut)}, in no number")
+        if folder.study.cut_runs:
+            parts.append(f"{_runs(folder.study.cut_runs)} without any other episode")
         if parts:
             lines.append(f"{folder.name}: {'; '.join(parts)}.")
     return lines

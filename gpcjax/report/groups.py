@@ -136,7 +136,8 @@ class Study:
     """All groups of a store with what its manifest says of them.
 
     `episodes` is how long the compared runs are: as long as the specification says, or as the longest run so far. `cut`
-    counts the episodes of a lesson that are in no number, as they were ended before the task did.
+    counts the episodes of a lesson that are in no number, as they were ended before the task did, and `cut_runs` the
+    runs that have no other; these are in no group.
     """
 
     env: str
@@ -147,6 +148,12 @@ class Study:
     oracles: Mapping[str, Baseline]
     manifest: Mapping[str, Any]
     cut: int = 0
+    cut_runs: int = 0
+
+    @property
+    def is_taught(self) -> bool:
+        """Whether people have taught, whose runs no sweep could go on with."""
+        return bool(self.cut) or self.manifest.get("specification", {}).get("teacher") == "person"
 
     @cached_property
     def algorithms(self) -> tuple[str, ...]:
@@ -197,6 +204,7 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
             raise UserError("the store holds no episodes: run the sweep first")
         varying = [name for name in manifest.get("varying", ()) if name in episodes.columns]
         episodes = Episodes.of(episodes, varying)
+    runs_there = len(episodes.seeds)
     episodes, cut = without_cut(episodes)
     if cut and not len(episodes.cell):
         raise UserError("each of its episodes was ended before the task did: let the task end one")
@@ -215,6 +223,7 @@ def gather(episodes: pd.DataFrame | Episodes, manifest: Mapping[str, Any]) -> St
         oracles={name: _baseline(numbers) for name, numbers in (baselines.get("oracles") or {}).items()},
         manifest=manifest,
         cut=cut,
+        cut_runs=runs_there - len(episodes.seeds),
     )
 
 

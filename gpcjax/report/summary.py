@@ -148,6 +148,7 @@ class Summary:
 def summarise(study: Study) -> Summary:
     """All numbers of `study`."""
     found = sum(group.runs + len(group.uncounted) + len(group.unfinished) for group in study.groups)
+    found += study.cut_runs
     rows = _rows(study)
     differences, unpaired = _differences(study, {row.group for row in rows if row.best})
     return Summary(

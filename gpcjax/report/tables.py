@@ -108,10 +108,12 @@ def warnings(summary: Summary) -> list[str]:
         lines.append(f"{_runs(summary.unfinished)} {is_in} in no number below.")
     if summary.missing:
         lines.append(f"{_runs(summary.missing)} of the specification {_has(summary.missing)} no episode yet.")
-    if summary.unfinished or summary.missing:
+    if (summary.unfinished or summary.missing) and not study.is_taught:
         lines.append("The same sweep again runs what is missing.")
     if study.cut:
         lines.append(f"{words.cut_short(study.cut)} {_are(study.cut)} in no number below.")
+    if study.cut_runs:
+        lines.append(f"{_runs(study.cut_runs)} {_has(study.cut_runs)} no other episode.")
     specified = study.manifest.get("specification", {}).get("episodes")
     if specified and not study.cut and study.episodes < specified:
         lines.append(f"No run is complete: these are the first {study.episodes} of {specified} episodes.")

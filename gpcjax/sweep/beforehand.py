@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from gpcjax.sweep.digests import check_changed
 from gpcjax.sweep.keepable import check_keeping, check_kept
 from gpcjax.sweep.keeping import Keeping
 from gpcjax.sweep.plan import count
@@ -45,7 +44,7 @@ def check(
 def check_folder(
     out: Path, spec: SweepSpec, keeping: Keeping | None, shard: Shard | None, grows: bool = True
 ) -> None:
-    """Refuses a folder that holds something else, keeps something else of its runs, or was begun with other code.
+    """Refuses a folder that holds something else, or keeps something else of its runs.
 
     Raises:
         UserError: it is such a folder.
@@ -53,4 +52,3 @@ def check_folder(
     check_sweep(out, spec, grows)
     check_shard(out, shard, count(spec))
     check_kept(out, keeping, spec)
-    check_changed(out, spec)

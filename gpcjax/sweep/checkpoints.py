@@ -141,6 +141,18 @@ def survey(out: Path, is_missing: Callable[[Cell], bool], agree: Mapping[str, An
     return places
 
 
+def under_way(out: Path, versions: Mapping[str, str]) -> set[Cell]:
+    """The cells that these versions have saved in a folder, with whatever code of a person's own. Changes nothing."""
+    agree = {"versions": dict(versions), "snapshots": SNAPSHOTS, "layout": LAYOUT}
+    found: set[Cell] = set()
+    for name in filter(is_checkpoint, names_in(out / CHECKPOINTS)):
+        with contextlib.suppress(
+            UserError, KeyError, TypeError, ValueError
+        ):  # set aside where runs are to go on
+            found.update(cell for cell, _ in _runs(out / CHECKPOINTS / name, agree)[1])
+    return found
+
+
 def receive(out: Path, name: str, write: Callable[[Path], None]) -> dict[Cell, Place]:
     """Takes in a checkpoint that was written on another machine; gives where its runs are.
 

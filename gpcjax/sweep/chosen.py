@@ -13,9 +13,11 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from gpcjax.sweep.coded import Coded, Values
+from gpcjax.sweep.growth import Filled, filled_since
 from gpcjax.sweep.layout import CORRECTIONS
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.rows import IDENTITY, correction_column
+from gpcjax.sweep.steady import steadily
 
 _SHOWN = ("episode", "step", "action_dim", "rate")
 
@@ -59,10 +61,40 @@ def corrections_of(
     Rows come in the order of the parts. Nothing is said of what is damaged: whoever chose the runs has read the folder.
     Parts named in `skip` are not opened.
     """
-    varying = [correction_column(name) for name in manifest["varying"]]
-    columns = [*IDENTITY, *varying, *_SHOWN]
-    frames, seen = [], [np.zeros(0, np.int64)] * len(chosen)
-    for part in whole_parts(out, manifest, Found(), {CORRECTIONS: columns}, skip):
+    columns = _columns(manifest)
+
+    def read(now: Mapping[str, Any], found: Found) -> list[pd.DataFrame]:
+        since = filled_since(manifest, now)
+        return list(_frames(out, now, [_then(runs, since) for runs in chosen], skip, found))
+
+    frames, _, _ = steadily(out, read, manifest)
+    if not frames:
+        return pd.DataFrame(columns=columns)
+    every = pd.concat(frames, ignore_index=True)
+    return every.drop(columns=[name for name in every.columns if name not in columns])
+
+
+def _columns(manifest: Mapping[str, Any]) -> list[str]:
+    return [*IDENTITY, *map(correction_column, manifest["varying"]), *_SHOWN]
+
+
+def _then(runs: Chosen, since: Filled) -> Chosen:
+    """The same runs where more settings vary now than when they were chosen."""
+    before = {name: by_learner.get(runs.algo) for name, by_learner in since.items()}
+    more = {name: value for name, value in before.items() if value is not None}
+    return runs._replace(settings={**runs.settings, **more})
+
+
+def _frames(
+    out: Path,
+    manifest: Mapping[str, Any],
+    chosen: Sequence[Chosen],
+    skip: Container[str],
+    found: Found,
+) -> Iterator[pd.DataFrame]:
+    """The corrections of some runs by part."""
+    seen = [np.zeros(0, np.int64)] * len(chosen)
+    for part in whole_parts(out, manifest, found, {CORRECTIONS: _columns(manifest)}, skip):
         table, values = part.tables[CORRECTIONS], Values()
         keys = [values.coded(name, table.column(name)) for name in ("algo", "oracle", "error")]
         settings = {
@@ -73,9 +105,8 @@ def corrections_of(
         seeds = table.column("seed").to_numpy()
         for which, rows in _by_place(_places(keys, chosen, settings)):
             known = np.isin(seeds[rows], chosen[which].seeds) & ~np.isin(seeds[rows], seen[which])
-            frames.append(table.take(rows[known]).to_pandas())
+            yield table.take(rows[known]).to_pandas()
             seen[which] = np.union1d(seen[which], seeds[rows[known]])
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
 
 def _places(

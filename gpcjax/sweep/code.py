@@ -8,15 +8,12 @@ reads are not known.
 
 import ast
 import hashlib
-import importlib.machinery
-import os
 import re
-import site
-import sys
-import sysconfig
-from collections.abc import Iterable, Iterator
-from importlib.machinery import ModuleSpec
+import warnings
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
+
+from gpcjax.sweep.located import Finder, file_of, is_installed
 
 _OURS = __name__.partition(".")[0]
 
@@ -25,52 +22,87 @@ _TARGET = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):[A-Za-z_][\w.]*")
 _IMPORTING = ("import_module", "__import__")
 """Functions that import what a text names."""
 
+_KNOWN: dict[tuple[bytes, str], tuple[str, tuple[str, ...]]] = {}
+"""By the SHA-256 of a source and the package that it is in: its digest, and what it imports. Each is parsed once."""
 
-def digests_of_modules(names: Iterable[str]) -> dict[str, str]:
+
+def digests_of_modules(names: Iterable[str], versioned: Collection[str] = ()) -> dict[str, str]:
     """Twelve hex digits for each of these modules, and for each that they import, by its name.
 
-    Of a name that is no module that Python finds there is none.
+    Of a name that is no module that Python finds there is none. Nor of what is installed of the packages `versioned`,
+    which are told by their versions elsewhere.
     """
     names = list(names)
-    tops = {name.partition(".")[0] for name in names}
+    tops = {name.partition(".")[0] for name in names}.difference(versioned)
     found: dict[str, str] = {}
-    seen, left = set[str](), names
+    finder, seen, left = Finder(), {""}, names
     while left:
         name = left.pop()
-        if name in seen:
+        if name in seen or name.partition(".")[0] == _OURS:
             continue
         seen.add(name)
-        top, _, below = name.rpartition(".")
-        left += [top] if below and top else []  # a package is imported before what is in it
-        spec = _spec_of(name)
-        file = _file_of(spec)
-        if file is None or (_is_installed(file) and name.partition(".")[0] not in tops):
+        above = name.rpartition(".")[0]
+        left.append(above)  # a package is imported before what is in it
+        spec = finder.find(name)
+        file = file_of(spec)
+        if spec is None or file is None:
             continue
-        content = _content(file)
-        if content is None:
+        is_package = spec.submodule_search_locations is not None
+        if name.partition(".")[0] not in tops and is_installed(name, file, is_package):
             continue
-        told, tree = content
-        found[name] = told
-        package = name if spec is not None and spec.submodule_search_locations is not None else top
-        left += [] if tree is None else _imported(tree, package)
+        told = _told_of(file, name if is_package else above)
+        if told is not None:
+            found[name], imported = told
+            left += imported
     return dict(sorted(found.items()))
 
 
-def _content(file: Path) -> tuple[str, ast.Module | None] | None:
-    """The digest of a file, and its syntax, if it is one of Python's; None if it cannot be read."""
+def _told_of(file: Path, package: str) -> tuple[str, tuple[str, ...]] | None:
+    """The digest of a file in a package, and what it imports; None if it cannot be read."""
     try:
         data = file.read_bytes()
     except OSError:
         return None
-    tree = None
-    if file.suffix == ".py":
-        try:
+    whole = hashlib.sha256(data)
+    if file.suffix != ".py":
+        return whole.hexdigest()[:12], ()
+    key = whole.digest(), package
+    if key not in _KNOWN:
+        _KNOWN[key] = _parsed(data, package) or (whole.hexdigest()[:12], ())
+    return _KNOWN[key]
+
+
+def _parsed(data: bytes, package: str) -> tuple[str, tuple[str, ...]] | None:
+    """The digest of a source, and what it imports; None if it is none of Python's."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # as those of "\d", which are whoever's that imports it
             tree = ast.parse(data)
-            keeps = b"__doc__" in data  # somebody computes with its docstrings
-            data = ast.dump(tree if keeps else _without_docstrings(ast.parse(data))).encode()
-        except (SyntaxError, ValueError, RecursionError):
-            tree = None
-    return hashlib.sha256(data).hexdigest()[:12], tree
+        imported = tuple(dict.fromkeys(_imported(tree, package)))
+        # Where somebody computes with docstrings they count.
+        kept = tree if b"__doc__" in data else _without_docstrings(tree)
+        text = "\n".join(_flat(kept))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:12], imported
+
+
+def _flat(tree: ast.AST) -> Iterator[str]:
+    """The syntax in the order of its text, a line for each of its entries, however deep it is.
+
+    `ast.dump` goes no deeper than what is left of Python's stack, which depends on who calls.
+    """
+    left: list[object] = [tree]
+    while left:
+        match left.pop():
+            case ast.AST() as node:
+                yield type(node).__name__
+                left += [getattr(node, name, None) for name in reversed(node._fields)]
+            case list() as nodes:
+                yield f"{len(nodes)}:"
+                left += reversed(nodes)
+            case constant:
+                yield repr(constant)
 
 
 def _without_docstrings(tree: ast.Module) -> ast.Module:
@@ -100,32 +132,3 @@ def _imported(tree: ast.Module, package: str) -> Iterator[str]:
                 yield text.lstrip(".")
             case ast.Constant(str() as text) if target := _TARGET.fullmatch(text):
                 yield target[1]
-
-
-def _spec_of(name: str) -> ModuleSpec | None:
-    """Where a module is, found without importing it, or anything."""
-    parts = name.split(".")
-    if not all(part.isidentifier() for part in parts) or parts[0] == _OURS:
-        return None
-    spec, folders = None, [*(each or os.getcwd() for each in sys.path), os.getcwd()]
-    for place in range(len(parts)):
-        full = ".".join(parts[: place + 1])
-        spec = importlib.machinery.PathFinder.find_spec(full, folders)
-        if spec is None:  # by another finder, as an installation leaves that follows its source
-            spec = getattr(sys.modules.get(full), "__spec__", None)
-        if spec is None:
-            return None
-        folders = list(spec.submodule_search_locations or ())
-    return spec
-
-
-def _file_of(spec: ModuleSpec | None) -> Path | None:
-    origin = None if spec is None or not spec.has_location else spec.origin
-    return None if origin is None else Path(origin)
-
-
-def _is_installed(file: Path) -> bool:
-    """Whether it lies where installations put what they copy."""
-    places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-    places.add(site.getusersitepackages())
-    return any(file.is_relative_to(place) for place in places if place)

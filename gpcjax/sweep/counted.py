@@ -15,12 +15,13 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 from gpcjax.errors import UserError
+from gpcjax.recording import CUT
 from gpcjax.sweep.chosen import Places
 from gpcjax.sweep.coded import Coded, Values, joint
 from gpcjax.sweep.layout import EPISODES, Say
-from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.rows import IDENTITY
+from gpcjax.sweep.steady import steadily
 
 OK = "ok"
 _TOTALS = ("length", "clipped", "full")
@@ -36,7 +37,7 @@ class Episodes:
     | `env`         |                 | the task                                                              |
     | `settings`    | [cells] each    | algo, oracle, error and the settings that vary                        |
     | `seeds`       | [cells]         | of the cells                                                          |
-    | `totals`      | [cells] each    | sums over the episodes of a cell: length, clipped, full               |
+    | `totals`      | [cells] each    | sums over the episodes of a cell that were not cut: length, clipped, full |
     | `cell`        | [rows]          | the cell of each episode                                              |
     | `episode`     | [rows]          | from 1                                                                |
     | `returns`     | [rows]          | sums of rewards                                                       |
@@ -97,22 +98,26 @@ def read_counted(out: Path, say: Say) -> tuple[Episodes | None, dict[str, Any]]:
     Raises:
         UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
     """
-    manifest = read_manifest(out)
-    varying, found, values = tuple(manifest["varying"]), Found(), Values()
-    env, parts, names, again = "", [], [], []
-    for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
-        table = part.tables[EPISODES]
-        if len(table):
-            env = env or str(table.column("env")[0])
-            parts.append(_of_table(table, varying, values))
-            names.append(part.name)
-            again.append(part.again)
-    if found.damaged and not parts:
+
+    def read(manifest: Mapping[str, Any], found: Found) -> Episodes | None:
+        varying, values = tuple(manifest["varying"]), Values()
+        env, parts, names, again = "", [], [], []
+        for part in whole_parts(out, manifest, found, {EPISODES: [*IDENTITY, *varying, *_MEASURED]}):
+            table = part.tables[EPISODES]
+            if len(table):
+                env = env or str(table.column("env")[0])
+                parts.append(_of_table(table, varying, values))
+                names.append(part.name)
+                again.append(part.again)
+        episodes, found.repeated = _joined(env, parts, names, again) if parts else (None, 0)
+        return episodes
+
+    episodes, manifest, found = steadily(out, read)
+    if found.damaged and episodes is None:
         path, what = next(iter(found.damaged.items()))
         raise UserError(
             f"{out}: none of its rows is whole ({path}: {what}), the same sweep computes them again"
         )
-    episodes, found.repeated = _joined(env, parts, names, again) if parts else (None, 0)
     found.speak(out, say, "left out, the same sweep computes what is missing again")
     return episodes, manifest
 
@@ -147,10 +152,12 @@ class _Part(NamedTuple):
         rank = np.empty(len(known), np.int32)
         rank[order] = np.arange(len(known))
         cell, first = rank[which][np.cumsum(starts) - 1], first[once[order]]
+        cut = status.values.index(CUT) if CUT in status.values else None
+        whole = slice(None) if cut is None else status.codes != cut
         return _Part(
             {name: column._replace(codes=column.codes[first]) for name, column in settings.items()},
             seeds[first],
-            {name: _sums(cell, columns[name], len(first)) for name in _TOTALS},
+            {name: _sums(cell[whole], columns[name][whole], len(first)) for name in _TOTALS},
             cell,
             columns["episode"].astype(np.int32),
             columns["return"].astype(np.float64),

@@ -8,7 +8,7 @@ import importlib.metadata
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from gpcjax.recording import RECORD
 from gpcjax.registry import Kind, built_in, find, module_of
 from gpcjax.sweep.code import digests_of_modules
 from gpcjax.sweep.layout import sha256
-from gpcjax.sweep.manifest import read_manifest
+from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.spec import SweepSpec
+from gpcjax.sweep.versions import LIBRARIES
 
 ENTRY = "digests"
 """Of a manifest, by "env NAME", "algo NAME" and so on: the digests of the parts of each. Those of 0.2 have none."""
@@ -29,50 +30,51 @@ Digests = Mapping[str, Mapping[str, str]]
 _LIBRARIES = {"gym": ("gymnasium",), "brax": ("brax", "mujoco")}
 """What computes the tasks of these prefixes."""
 
+_SIMULATORS = {"gymnasium.envs.mujoco": ("mujoco",), "gymnasium.envs.box2d": ("box2d", "box2d-py")}
+"""What is installed beside gymnasium for its tasks in these packages, under one of these names."""
+
 _FILE = "its files"
 
 
 def digests_of(spec: SweepSpec) -> dict[str, dict[str, str]]:
     """What the names of a specification stand for now, of those that are not built in."""
-    asked: list[tuple[str, Kind, str]] = [("env", "task", spec.env), ("teacher", "teacher", spec.teacher)]
-    for name in spec.algo:
-        asked.append(("algo", "learner", name))
-    found = {
-        f"{setting} {name}": _parts_of(kind, name)
-        for setting, kind, name in asked
-        if name not in built_in(kind)
-    }
-    experts = find("task", spec.env).experts
-    for name in spec.oracle:
-        is_ours = spec.env in built_in("task") and name in experts
-        found |= {} if is_ours else {f"oracle {name}": _parts_of_expert(experts.get(name, name))}
-    return {name: parts for name, parts in found.items() if parts}
+    return _digests(spec.env, spec.teacher, spec.algo, spec.oracle)
 
 
-def refuse_changed(out: Path, manifest: Mapping[str, Any], now: Digests) -> None:
-    """Refuses a folder whose rows were made with something else under a name.
+def names_of(env: str, teacher: str, algo: str, oracle: str) -> tuple[str, ...]:
+    """The names of a cell, as the digests have them."""
+    return f"env {env}", f"teacher {teacher}", f"algo {algo}", f"oracle {oracle}"
 
-    Raises:
-        UserError: they were, by what the manifest says.
+
+class Loaded:
+    """The code of a person's own that a process computes with: as it was when it was first looked at there.
+
+    What is edited later is not loaded again.
     """
-    for name, parts in conflicts(manifest.get(ENTRY, {}), now).items():
-        which = "" if parts == [name.partition(" ")[2]] else f" ({', '.join(parts[:3])})"
-        raise UserError(
-            f"{out}: {name} is not what it was when this folder was begun{which}: bring that back, or give a new "
-            "folder (--out)"
-        )
 
+    def __init__(self) -> None:
+        self._seen: dict[str, str] = {}
 
-def check_changed(out: Path, spec: SweepSpec) -> None:
-    """The same of what a folder is asked for, before anything is written. Raises UserError."""
-    now = digests_of(spec)
-    if not now:
-        return
-    try:
-        manifest = read_manifest(out)
-    except UserError:
-        return  # there is none, or it is checked and told elsewhere
-    refuse_changed(out, manifest, now)
+    def refuse_other(self, cell: Cell, held: Digests) -> None:
+        """Refuses to compute with something else than a sweep was begun with: asked when all that is imported.
+
+        What is installed on one machine may be followed on another: what both follow must be the same.
+
+        Raises:
+            UserError: it was edited since, or is another one on this machine.
+        """
+        now = _digests(cell.env, cell.teacher, (cell.algo,), (cell.oracle,)) if held else {}
+        for name, parts in now.items():
+            known = held.get(name, {})
+            mine = {part: self._first(part, told) for part, told in parts.items()}
+            if odd := [part for part in mine if part in known and known[part] != mine[part]]:
+                raise UserError(
+                    f"{name} is not what it was when this sweep was begun{which(name, odd)}: it was edited meanwhile "
+                    "(give the command again), or another one is on this machine"
+                )
+
+    def _first(self, part: str, told: str) -> str:
+        return told if part == _FILE else self._seen.setdefault(part, told)  # files are read each time
 
 
 def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:
@@ -84,16 +86,27 @@ def conflicts(held: Digests, now: Digests) -> dict[str, list[str]]:
     }
 
 
-def note(out: Path, manifest: dict[str, Any], specs: Iterable[SweepSpec]) -> None:
-    """Adds to the manifest of a folder what the names of specifications stand for: what it says already stays.
+def which(name: str, parts: Sequence[str]) -> str:
+    """Those parts of a name, in parentheses, that differ; nothing where it has no others."""
+    return "" if [*parts] == [name.partition(" ")[2]] else f" ({', '.join(parts[:3])})"
 
-    Raises:
-        UserError: one of them stood for something else.
-    """
-    now = {name: parts for spec in specs for name, parts in digests_of(spec).items()}
-    refuse_changed(out, manifest, now)
-    if now:
-        manifest[ENTRY] = {**now, **manifest.get(ENTRY, {})}
+
+def _digests(
+    env: str, teacher: str, algos: Iterable[str], oracles: Iterable[str]
+) -> dict[str, dict[str, str]]:
+    experts = find("task", env).experts  # by now gymnasium is imported, which knows where its tasks come from
+    asked: list[tuple[str, Kind, str]] = [("env", "task", env), ("teacher", "teacher", teacher)]
+    for name in algos:
+        asked.append(("algo", "learner", name))
+    found = {
+        f"{setting} {name}": _parts_of(kind, name)
+        for setting, kind, name in asked
+        if name not in built_in(kind)
+    }
+    for name in oracles:
+        is_ours = env in built_in("task") and name in experts
+        found |= {} if is_ours else {f"oracle {name}": _parts_of_expert(experts.get(name, name))}
+    return {name: parts for name, parts in found.items() if parts}
 
 
 def _parts_of(kind: Kind, name: str) -> dict[str, str]:
@@ -102,8 +115,9 @@ def _parts_of(kind: Kind, name: str) -> dict[str, str]:
     if kind == "teacher" and (prefix == "replay" or os.path.isdir(path_here(name))):
         return _file(path_here(rest if prefix == "replay" else name))
     if colon and kind == "task" and prefix in _LIBRARIES:
-        versions = {library: _version(library) for library in _LIBRARIES[prefix]}
-        return versions | (_modules(_of_gymnasium(rest)) if prefix == "gym" else {})
+        modules = _of_gymnasium(rest) if prefix == "gym" else []
+        libraries = [*_LIBRARIES[prefix], *_simulators(modules)]
+        return {library: _version(library) for library in libraries} | _modules(modules, libraries)
     spec = find(kind, name)
     return _modules([module_of(kind, name), *_modules_in([getattr(spec, "make", None)])])
 
@@ -121,8 +135,8 @@ def _parts_of_expert(entry: Any) -> dict[str, str]:
     return found
 
 
-def _modules(names: Iterable[str]) -> dict[str, str]:
-    return digests_of_modules(dict.fromkeys(filter(None, names)))
+def _modules(names: Iterable[str], versioned: Collection[str] = ()) -> dict[str, str]:
+    return digests_of_modules(dict.fromkeys(filter(None, names)), (*versioned, *LIBRARIES))
 
 
 def _modules_in(things: Iterable[Any]) -> Iterator[str]:
@@ -162,6 +176,13 @@ def _of_gymnasium(task: str) -> list[str]:
     return [module if colon else "", *_modules_in([point])]
 
 
+def _simulators(modules: Iterable[str]) -> list[str]:
+    """The libraries that simulate gymnasium's own tasks in these modules."""
+    packages = [module.rpartition(".")[0] for module in modules]
+    asked = (name for package in packages for name in _SIMULATORS.get(package, ()))
+    return [name for name in asked if _version(name) != _UNKNOWN]
+
+
 def _file(path: str) -> dict[str, str]:
     file = os.path.join(path, RECORD) if os.path.isdir(path) else path
     try:
@@ -170,8 +191,11 @@ def _file(path: str) -> dict[str, str]:
         return {}  # told where it is read
 
 
+_UNKNOWN = "unknown"
+
+
 def _version(library: str) -> str:
     try:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+        return _UNKNOWN

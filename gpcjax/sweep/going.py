@@ -1,7 +1,7 @@
 """A sweep while it runs: rows on their way to the store, and the manifest that grows with them. Loads no jax."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ class Going:
         self._sofar = SoFar(missing, manifest["varying"])
         self._desk = Desk(
             missing,
-            baselines=self._missing_baselines(),
+            baselines=[(spec.env, name) for name in missing_baselines(manifest, spec)],
             jobs=executor.jobs,
             on_rows=self._collect,
             on_baseline=self._keep_baseline,
@@ -99,14 +99,6 @@ class Going:
             self._save(complete=self._store.cells >= self._manifest["cells"])
             if self._manifest["complete"]:
                 remove_all(self._out)
-
-    def _missing_baselines(self) -> list[tuple[str, str]]:
-        known = self._manifest["baselines"]
-        names = [
-            *(["idle"] if known["idle"] is None else []),
-            *(n for n in self._spec.oracle if n not in known["oracles"] and n != NOBODY),
-        ]
-        return [(self._spec.env, name) for name in names]
 
     def _collect(self, rows: CellRows | Block) -> None:
         self._rows.append(rows)
@@ -150,3 +142,12 @@ class Going:
         )
         self._manifest |= {"complete": complete, "finished": self._store.cells}
         write_manifest(self._out, self._manifest)
+
+
+def missing_baselines(manifest: Mapping[str, Any], spec: SweepSpec) -> list[str]:
+    """The idle policy and the experts of which a manifest has no returns yet."""
+    known = manifest["baselines"]
+    return [
+        *(["idle"] if known["idle"] is None else []),
+        *(name for name in spec.oracle if name not in known["oracles"] and name != NOBODY),
+    ]

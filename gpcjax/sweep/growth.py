@@ -47,6 +47,32 @@ def hashes(manifest: Mapping[str, Any]) -> dict[str, Filled]:
     return {each["hash"]: each["filled"] for each in requests(manifest)}
 
 
+def algos_of(manifest: Mapping[str, Any], hash_: str) -> frozenset[str]:
+    """The learners that a request has asked for; none of one that is not of this folder."""
+    return frozenset(
+        algo for each in requests(manifest) if each["hash"] == hash_ for algo in each["specification"]["algo"]
+    )
+
+
+def filled_in_order(manifest: Mapping[str, Any], order: Iterable[str]) -> Filled:
+    """What missing columns hold of each learner that anybody has asked for: by the first request that has.
+
+    As long as a setting does not vary, all requests for a learner have the same value of it. So any will do that a part
+    was written after: first those in `order`, then the others from the first one on.
+    """
+    known, found = hashes(manifest), dict[str, dict[str, float | None]]()
+    for hash_ in dict.fromkeys([*(each for each in order if each in known), *known]):
+        for name, by_learner in known[hash_].items():
+            found[name] = dict(by_learner) | found.get(name, {})
+    return found
+
+
+def filled_since(then: Mapping[str, Any], now: Mapping[str, Any]) -> Filled:
+    """The settings that have begun to vary from one manifest of a folder to a later one: what they were before."""
+    filled = filled_in_order(now, hashes(then))
+    return {name: filled.get(name, {}) for name in now["varying"] if name not in then["varying"]}
+
+
 def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     """What of a specification cannot be added to the one that a folder holds, as "episodes 30, not 40"."""
     grow = (*LISTS, "seeds", "hyperparameters", POINTS)
@@ -58,12 +84,12 @@ def contradictions(held: Mapping[str, Any], asked: Mapping[str, Any]) -> list[st
     ]
 
 
-def covering(manifest: Mapping[str, Any], spec: SweepSpec, together: bool = True) -> str | None:
+def covering(manifest: Mapping[str, Any], spec: SweepSpec) -> str | None:
     """The hash of a request that asked for all of `spec` already; None if there is none.
 
-    Where several have done so `together`, the hash of the last of those that asked for some of it.
+    Where several have done so together, the hash of the last of those that asked for some of it.
     """
-    if (hash_ := _covered_by_one(manifest, spec)) is not None or not together:
+    if (hash_ := _covered_by_one(manifest, spec)) is not None:
         return hash_
     wanted = as_dict(spec)
     held = {

@@ -14,7 +14,7 @@ from gpcjax.describe import TaskSpec
 from gpcjax.envs.registry import NOBODY
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in, find
-from gpcjax.sweep.growth import requests
+from gpcjax.sweep.growth import hashes, requests
 from gpcjax.sweep.keeping import ENTRY, held_keeping
 from gpcjax.sweep.layout import DAMAGED, EPISODES, MANIFEST, reason
 from gpcjax.sweep.lock import holder
@@ -153,6 +153,20 @@ class Contents:
     foreign: tuple[str, ...]
     set_aside: int
     """Files that an earlier sweep found to be damaged."""
+
+
+def looked_into(path: Path) -> tuple[RunFolder, Contents]:
+    """A run folder and what lies there, both by one manifest. As `look`."""
+    folder = look(path)
+    while True:
+        held = contents(folder)
+        if not held.foreign or not folder.manifest:
+            return folder, held
+        # Rows of what was asked for meanwhile, perhaps, with those of before beside them.
+        now = look(path)
+        if not now.manifest or [*hashes(now.manifest)] == [*hashes(folder.manifest)]:
+            return folder, held
+        folder = now
 
 
 def contents(folder: RunFolder) -> Contents:

@@ -45,7 +45,9 @@ def held(out: Path) -> Iterator[None]:
         return
     try:
         mine = threading.get_ident(), _patiently_locked(folder / LOCK)
-        if _held.setdefault(folder, mine) is not mine:  # without a lock nothing but this process knows of it
+        if _held.setdefault(folder, mine) is not mine:
+            # There is no lock here, or its file was removed: nothing but this process knows of it.
+            _release(folder / LOCK, mine[1])
             raise BlockingIOError
     except BlockingIOError:
         raise UserError(
@@ -98,7 +100,7 @@ def _locked(path: Path) -> int | None:
         BlockingIOError: another has it.
     """
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        descriptor, is_new = _opened(path)
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -106,7 +108,8 @@ def _locked(path: Path) -> int | None:
                 if error.errno not in _NO_LOCKS:
                     raise
                 os.close(descriptor)
-                path.unlink(missing_ok=True)
+                if is_new:  # another one may be locked, where there are locks at other moments (NFS)
+                    path.unlink(missing_ok=True)
                 return None
             if _is(path, descriptor):
                 text = {"host": socket.gethostname(), "pid": os.getpid(), "since": _now()}
@@ -118,6 +121,15 @@ def _locked(path: Path) -> int | None:
             os.close(descriptor)
             raise
         os.close(descriptor)  # its holder has just removed this file: lock the one that is there now
+
+
+def _opened(path: Path) -> tuple[int, bool]:
+    """An open descriptor of the lock file, and whether it was made for it."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+    try:
+        return os.open(path, flags | os.O_EXCL, 0o666), True
+    except FileExistsError:
+        return os.open(path, flags, 0o666), False
 
 
 def _is(path: Path, descriptor: int) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import write_atomic
+from gpcjax.sweep.changed import refuse_unlike
 from gpcjax.sweep.checkpoints import remove_all
 from gpcjax.sweep.digests import ENTRY as DIGESTS
 from gpcjax.sweep.digests import conflicts
@@ -148,14 +149,10 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
             raise UserError(
                 f"{share.folder}: it is shard {share.shard}, {first.folder} is {first.shard}: give shards of one number"
             )
-        if keeps := _keeps_other(share.manifest, first.manifest):
+        telling = next((each for each in shares if ENTRY in each.manifest), first)
+        if keeps := _keeps_other(share.manifest, telling.manifest):
             raise UserError(
-                f"{share.folder}: {keeps[0]}, {first.folder} {keeps[1]}: run one again into a new folder"
-            )
-        if other := conflicts(share.manifest.get(DIGESTS, {}), first.manifest.get(DIGESTS, {})):
-            raise UserError(
-                f"{share.folder}: its {next(iter(other))} is another one than that of {first.folder}: run one again "
-                "into a new folder"
+                f"{share.folder}: {keeps[0]}, {telling.folder} {keeps[1]}: run one again into a new folder"
             )
         for name, version in first.manifest["versions"].items():
             other = share.manifest["versions"].get(name)
@@ -163,6 +160,7 @@ def _checked(shares: Sequence[_Share]) -> list[_Share]:
                 raise UserError(
                     f"{share.folder}: it was made with {name} {other}, {first.folder} with {version}: run one again"
                 )
+    refuse_unlike((share.folder, share.manifest) for share in shares)
     by_index: dict[int, _Share] = {}
     for share in shares:
         if (twin := by_index.setdefault(share.shard.number, share)) is not share:
@@ -212,8 +210,16 @@ def _begins_alike(less: _Share, more: _Share) -> bool:
     return asked[0] == asked[1][: len(asked[0])]
 
 
-def _refuse_gaps(shares: Iterable[_Share], wanted: Keys) -> None:
+def _refuse_gaps(shares: Sequence[_Share], wanted: Keys) -> None:
     """Refuse shares that do not make up the whole, each cell once."""
+    cells = [share.cells for share in shares]
+    if sum(map(len, cells)) == len(wanted) and set().union(*cells) == wanted:
+        return
+    for share in shares[1:]:
+        if [*hashes(share.manifest)] != [
+            *hashes(shares[0].manifest)
+        ]:  # in another order they have other shares
+            raise UserError(_other_requests(shares[0], share))
     seen: Keys = set()
     for share in shares:
         if twice := len(share.cells & seen):

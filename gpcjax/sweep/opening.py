@@ -56,7 +56,7 @@ def begin(spec: SweepSpec, out: Path, keeping: Keeping | None, shard: Shard | No
         tell(f"{out / MANIFEST} {what}: made anew from the parts, its times count from now on")
         return manifest
     specs = [spec] if shard is None else asked_with(out, shard, spec)
-    if len(specs) > 1:
+    if specs != [spec]:
         tell(f"{out}: the other shards were asked for other things before: it has its share of these, too")
     return _asked_for(specs) | {ENTRY: as_json(keeping)}
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.atomic import target_of
-from gpcjax.sweep.growth import Filled, hashes, requests
+from gpcjax.sweep.growth import algos_of, filled_in_order, hashes, requests
 from gpcjax.sweep.layout import BESIDE, CORRECTIONS, EPISODES, Say, parse_part
 from gpcjax.sweep.rows import correction_column
 from gpcjax.sweep.sealing import Damage, Origin, beside, columns_of, decoded, opened, replaced_by, seal_of
@@ -46,6 +46,8 @@ class Found:
     """Names of parts whose rows are in another one, which was made of them."""
     repeated: int = 0
     """Cells that an earlier part holds too."""
+    gone: bool = False
+    """Whether a part went while the others were read."""
 
     @property
     def parts(self) -> list[str]:
@@ -128,6 +130,7 @@ def whole_parts(
             yield part._replace(again=again)
         if not gone:
             break
+        found.gone = True
         # It was set aside just now, or its rows are in a part that was not there yet when the names were read.
         again, gone = True, False
     old = listed if may_hold_unsealed(manifest) else set()
@@ -215,16 +218,16 @@ def part_of(
     """A part by its name, None if it is another sweep's. Raises `Damage`, and `UserError` for what cannot be read."""
     named = parse_part(name)
     if named is not None and named.hash:
-        part, filled = _sealed_part(out, name, manifest, wanted), hashes(manifest).get(named.hash, {})
+        part = _sealed_part(out, name, manifest, wanted)
     elif may_hold_unsealed(manifest) and name.endswith(".parquet"):
-        tables, filled = unsealed_tables(out, name, manifest), requests(manifest)[0]["filled"]
+        tables = unsealed_tables(out, name, manifest)
         part = tables and Part(name, dict(zip((EPISODES, CORRECTIONS), tables, strict=True)), None, 0)
     else:
         return None
     if part is None:
         return None
     tables = {
-        folder: _chosen(_completed(part.tables[folder], folder, filled), columns)
+        folder: _chosen(_completed(part.tables[folder], folder, part, manifest, columns), columns)
         for folder, columns in wanted.items()
         if folder in part.tables
     }
@@ -249,14 +252,36 @@ def _sealed_part(
     return Part(name, tables, part.origin, sum(map(len, data.values())))
 
 
-def _completed(table: pa.Table, folder: str, filled: Filled) -> pa.Table:
-    """The table with the settings that vary in the folder by now, and had one value when it was written."""
+def _completed(
+    table: pa.Table, folder: str, part: Part, manifest: Mapping[str, Any], columns: Sequence[str] | None
+) -> pa.Table:
+    """The table with those of `columns` that vary in the folder by now, and had one value when it was written.
+
+    Raises:
+        Damage: it has rows of a learner whom nobody has asked for.
+    """
+    asked = requests(manifest)
+    if len(asked) < 2:
+        return table
+    algo = table.column("algo").combine_chunks().dictionary_encode()
+    learners = algo.dictionary.to_pylist()
+    own = asked[0]["hash"] if part.origin is None else part.origin.hash
+    filled, mixed = hashes(manifest)[own], not algos_of(manifest, own).issuperset(learners)
+    if mixed:
+        filled = filled_in_order(manifest, [own, *(part.origin.before if part.origin else ())])
     for name, by_learner in filled.items():
         column = correction_column(name) if folder == CORRECTIONS else name
-        if column not in table.column_names:
-            algo = table.column("algo").combine_chunks().dictionary_encode()
-            values = pa.array(map(by_learner.get, algo.dictionary.to_pylist()), pa.float64())
-            table = table.append_column(column, values.take(algo.indices))
+        there = column in table.column_names
+        if (there and not mixed) or (columns is not None and column not in columns):
+            continue
+        if not there and (strange := [learner for learner in learners if learner not in by_learner]):
+            raise Damage(folder, f"it has rows of {strange[0]}, which nobody has asked for")
+        values = pa.array(map(by_learner.get, learners), pa.float64()).take(algo.indices)
+        if there:  # put together with others by a version that did not know the value
+            place = table.column_names.index(column)
+            table = table.set_column(place, column, table.column(place).fill_null(values))
+        else:
+            table = table.append_column(column, values)
     return table
 
 

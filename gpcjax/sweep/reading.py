@@ -1,6 +1,6 @@
 """The rows of a run folder as pandas frames. Loads no jax."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +11,10 @@ from gpcjax.allowed import checked_path
 from gpcjax.errors import UserError
 from gpcjax.registry import built_in
 from gpcjax.sweep.layout import CORRECTIONS, EPISODES, KEPT, Say, warn
-from gpcjax.sweep.manifest import read_manifest
 from gpcjax.sweep.parts import Found, whole_parts
 from gpcjax.sweep.rows import IDENTITY, cells_of, correction_column, of_cells
 from gpcjax.sweep.runfolder import check_report
+from gpcjax.sweep.steady import steadily
 
 
 class Rows(NamedTuple):
@@ -34,9 +34,8 @@ def read(out: Path, say: Say = warn) -> Rows:
     Raises:
         UserError: `out` is no run folder, its manifest is damaged, or none of its rows is whole.
     """
-    manifest = read_manifest(out)
-    varying, found = manifest["varying"], Found()
-    tables = _once(out, manifest, found, {EPISODES: None, CORRECTIONS: None})
+    tables, manifest, found = _once(out, lambda keys: {EPISODES: None, CORRECTIONS: None})
+    varying = manifest["varying"]
     episodes, corrections = tables[EPISODES], tables[CORRECTIONS]
     if found.damaged and not episodes:
         path, what = next(iter(found.damaged.items()))
@@ -67,33 +66,26 @@ def read_kept(out: Path, say: Say = warn) -> pd.DataFrame:
     Raises:
         UserError: `out` is no run folder, or its manifest is damaged.
     """
-    manifest = read_manifest(out)
-    varying, found = manifest["varying"], Found()
-    tables = _once(out, manifest, found, {EPISODES: [*IDENTITY, *varying], KEPT: None})
+    tables, manifest, found = _once(out, lambda keys: {EPISODES: keys, KEPT: None})
     found.speak(out, say, "left out, the same sweep computes what is missing again")
-    return _frame(tables[KEPT], varying, ["episode"])
+    return _frame(tables[KEPT], manifest["varying"], ["episode"])
 
 
-def kept_parts(
-    out: Path, columns: Sequence[str] | None = None, say: Say = warn
-) -> Iterator[tuple[str, pa.Table]]:
+def kept_parts(out: Path, manifest: Mapping[str, Any], found: Found) -> Iterator[tuple[str, pa.Table]]:
     """The same as `read_kept`, one part in memory at a time: its name, and the rows of it that count.
 
     Args:
         out: the run folder.
-        columns: of what was kept, beside those that tell runs apart; None for all.
-        say: as in `read`.
+        manifest: of it, see `gpcjax.sweep.steady.steadily`.
+        found: is filled on the way.
 
     Raises:
         UserError: as `read_kept`.
     """
-    manifest = read_manifest(out)
-    keys, found = [*IDENTITY, *manifest["varying"]], Found()
-    chosen = None if columns is None else [*keys, *columns]
-    for part, tables in _parts_once(out, manifest, found, {EPISODES: keys, KEPT: chosen}):
+    keys = [*IDENTITY, *manifest["varying"]]
+    for part, tables in _parts_once(out, manifest, found, {EPISODES: keys, KEPT: None}):
         if KEPT in tables:
             yield part, tables[KEPT]
-    found.speak(out, say, "left out, the same sweep computes what is missing again")
 
 
 def load(out: Any) -> pd.DataFrame:
@@ -168,14 +160,22 @@ def _read_some(out: Path) -> Rows:
 
 
 def _once(
-    out: Path, manifest: Mapping[str, Any], found: Found, wanted: Mapping[str, Sequence[str] | None]
-) -> dict[str, list[pa.Table]]:
-    """The wanted tables of all whole parts by folder, the episodes among them, without cells that came before."""
-    tables: dict[str, list[pa.Table]] = {folder: [] for folder in wanted}
-    for _, some in _parts_once(out, manifest, found, wanted):
-        for folder, table in some.items():
-            tables[folder].append(table)
-    return tables
+    out: Path, wanted_of: Callable[[list[str]], Mapping[str, Sequence[str] | None]]
+) -> tuple[dict[str, list[pa.Table]], dict[str, Any], Found]:
+    """The wanted tables of all whole parts by folder, the episodes among them, without cells that came before.
+
+    What is wanted depends on the columns that tell cells apart. With the manifest, and what else was found.
+    """
+
+    def read(manifest: Mapping[str, Any], found: Found) -> dict[str, list[pa.Table]]:
+        wanted = wanted_of([*IDENTITY, *manifest["varying"]])
+        tables: dict[str, list[pa.Table]] = {folder: [] for folder in wanted}
+        for _, some in _parts_once(out, manifest, found, wanted):
+            for folder, table in some.items():
+                tables[folder].append(table)
+        return tables
+
+    return steadily(out, read)
 
 
 def _parts_once(

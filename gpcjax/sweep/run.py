@@ -10,12 +10,12 @@ from gpcjax.errors import UserError
 from gpcjax.sweep import machine
 from gpcjax.sweep.beforehand import check, check_folder
 from gpcjax.sweep.beginning import begun
+from gpcjax.sweep.changed import note
 from gpcjax.sweep.checkpoints import remove_all, survey, told
 from gpcjax.sweep.digests import ENTRY as DIGESTS
-from gpcjax.sweep.digests import note
 from gpcjax.sweep.executors import Executor, Orders, Processes, executor_of
 from gpcjax.sweep.fitting import left_out
-from gpcjax.sweep.going import Going
+from gpcjax.sweep.going import Going, missing_baselines
 from gpcjax.sweep.growth import requests
 from gpcjax.sweep.keepable import refuse_other
 from gpcjax.sweep.keeping import ENTRY, Keeping, keeping_of
@@ -137,7 +137,7 @@ def run(
             refuse_other(out, manifest, keeping)
             refuse_other_versions(out, manifest)
             note_machine(out, manifest, here)
-            note(out, manifest, specs)
+            note(out, manifest, specs, missing, missing_baselines(manifest, spec), say)
             agree = told(manifest["versions"], machine.kind_of(here), keeping, manifest.get(DIGESTS, {}))
             orders = Orders(
                 keeping=keeping,
@@ -152,6 +152,7 @@ def run(
             threading.Thread(target=meanwhile, daemon=True).start()
             sweep.run()
             return True
+        note(out, manifest, specs, [], [], say)
         if store.cells < manifest["cells"]:  # rows of another request, that are damaged or gone
             write_manifest(out, manifest | {"complete": False, "finished": store.cells})
             return False

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from gpcjax.errors import UserError
 from gpcjax.sweep.layout import BESIDE, CORRECTIONS, EPISODES, FORMAT, KEPT, parse_part, sha256
+from gpcjax.sweep.plan import hash_of
 
 _SEAL = b"gpcjax"
 """Key of the metadata in which a file says what it is, as JSON."""
@@ -44,6 +45,11 @@ class Origin(NamedTuple):
     """The hashes of all that had been asked for by then, the first one first."""
     manifest: Mapping[str, Any] = MappingProxyType({})
     """Entries of the manifest that nothing else could tell of."""
+
+    @property
+    def before(self) -> Sequence[str]:
+        """The hashes of what had been asked for by then, of parts of 0.2 too."""
+        return self.order or self.named or [hash_of(each) for each in self.asked]
 
 
 class Opened(NamedTuple):

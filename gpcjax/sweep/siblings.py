@@ -20,7 +20,8 @@ from gpcjax.sweep.spec import SweepSpec, as_dict, from_dict
 def asked_with(out: Path, shard: Shard, spec: SweepSpec) -> list[SweepSpec]:
     """All that a new folder of a share is asked for with `spec`, in the order of the other shards.
 
-    These have been asked for `spec`, or will be: so it comes last, unless they have all of it from several requests.
+    These have been asked for `spec`, or will be: so it comes last, unless they have all of it already. Then it was no
+    request of theirs, and would be one here, whose shares no merge takes.
     """
     hash_, found = specification_hash(spec), []
     for manifest in _siblings(out, shard):
@@ -30,7 +31,7 @@ def asked_with(out: Path, shard: Shard, spec: SweepSpec) -> list[SweepSpec]:
             continue  # another sweep's, which merging would tell
         if places:
             found.append((True, [*asked[: places[0]], spec]))
-        elif covering(manifest, spec, together=False) is None:
+        else:
             found.append((False, asked if covering(manifest, spec) else [*asked, spec]))
     return max(found, key=lambda each: (each[0], len(each[1])), default=(False, [spec]))[1]
 

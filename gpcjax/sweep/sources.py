@@ -22,10 +22,12 @@ from gpcjax.policies.folder import CARD, SUMS, read_arrays, read_card
 from gpcjax.sweep.boxes import setting_of
 from gpcjax.sweep.layout import KEPT, MANIFEST, Say, sha256, tell
 from gpcjax.sweep.packing import unpacked
+from gpcjax.sweep.parts import Found
 from gpcjax.sweep.plan import Cell
 from gpcjax.sweep.reading import kept_parts
 from gpcjax.sweep.rows import IDENTITY
 from gpcjax.sweep.source import Source
+from gpcjax.sweep.steady import steadily
 
 RELATIVES = {"gpc": ("gpc-ns",), "gpc-ns": ("gpc",)}
 """Learners that can go on with what another one has learned, beside those of their own name."""
@@ -211,13 +213,18 @@ def contents_of(folder: Path, place: str, say: Say = lambda line: None) -> Conte
 
 
 def _of_runs(folder: Path, place: str, say: Say) -> Contents:
-    last: dict[str, State] = {}
-    for part, own, episode, card, arrays in _kept_states(folder, say):
-        key = json.dumps(list(own.values()))
-        before = last.get(key)
-        if before is None or before.place is None or before.place.episode <= episode:
-            told = _checked(json.loads(card), folder, place)
-            last[key] = State(own, told, Place(part, episode, _sum(card, arrays)))
+    def read(manifest: Mapping[str, Any], found: Found) -> dict[str, State]:
+        last: dict[str, State] = {}
+        for part, own, episode, card, arrays in _kept_states(folder, manifest, found):
+            key = json.dumps(list(own.values()))
+            before = last.get(key)
+            if before is None or before.place is None or before.place.episode <= episode:
+                told = _checked(json.loads(card), folder, place)
+                last[key] = State(own, told, Place(part, episode, _sum(card, arrays)))
+        return last
+
+    last, _, found = steadily(folder, read)
+    found.speak(folder, say, "left out, the same sweep computes what is missing again")
     if not last:
         taught = ", give OUT/saves/NAME of it" if (folder / "course.json").exists() else ""
         raise UserError(
@@ -232,10 +239,12 @@ def _of_runs(folder: Path, place: str, say: Say) -> Contents:
     return Contents(folder, states, sha256("\n".join(sorted(sums)).encode())[:12])
 
 
-def _kept_states(folder: Path, say: Say) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
+def _kept_states(
+    folder: Path, manifest: Mapping[str, Any], found: Found
+) -> Iterator[tuple[str, dict[str, Any], int, str, bytes]]:
     """Part, values of the columns that tell runs apart, episode, card and arrays of each state."""
     beside = (*IDENTITY, "episode", "return", "kind", "card", "arrays")
-    for part, table in kept_parts(folder, say=say):
+    for part, table in kept_parts(folder, manifest, found):
         names = ["algo", "seed", *_TOLD_OF_RUN, *(name for name in table.column_names if name not in beside)]
         for batch in table.to_batches(max_chunksize=64):
             columns = [

@@ -10,7 +10,7 @@ killed in between leaves both, and the rows count once.
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import pyarrow as pa
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.digests import ENTRY as DIGESTS
-from gpcjax.sweep.growth import hashes, requests
+from gpcjax.sweep.growth import algos_of, hashes, requests
 from gpcjax.sweep.keeping import ENTRY as KEEPING
 from gpcjax.sweep.layout import (
     BESIDE,
@@ -57,7 +57,8 @@ class Store:
         machine: `gpcjax.sweep.machine.kind_of` the machine that computes what will be appended, where its rows do not
             name another one.
         say: takes a line for the person.
-        request: the hash of the specification that asked for what will be appended; the first one's by default.
+        request: the hash of the specification that asked for what will be appended, the first one's by default. Rows of
+            a learner whom it does not name go under the last one that does.
     """
 
     def __init__(
@@ -73,17 +74,17 @@ class Store:
             machine,
             order=list(self._asked),
         )
-        algo = set(self._asked[self._origin.hash]["algo"]) if self._origin.hash in self._asked else set()
-        self._alike = {hash_ for hash_, each in self._asked.items() if set(each["algo"]) == algo}
-        """Requests whose rows may be in one part: what is missing there has the same values for all of them."""
+        self._algos = {each: algos_of(manifest, each) for each in self._asked}
+        """The learners of each request: what its parts lack is known of these alone."""
         self._named: dict[str, Sequence[str]] = {}
         """By part: the requests that it tells of."""
         for folder in (EPISODES, *BESIDE):
             (out / folder).mkdir(exist_ok=True)
         numbers = [part.number for name in names_in(out / EPISODES) if (part := parse_part(name))]
         self._next = max(numbers, default=-1) + 1
-        self._small: dict[tuple[str, int], dict[str, int]] = {}
-        """Parts that could become one with others, and their bytes: by their kind of machine and about how large."""
+        self._small: dict[tuple[str, tuple[str, ...], int], dict[str, int]] = {}
+        """Parts that could become one with others, and their bytes: by their kind of machine, the learners of their
+        request and about how large. What such parts lack has the same values for all of them."""
         self._stored: set[tuple[Any, ...]] = set()
         self.machines: set[str] = set()
         """Kinds of machines that have computed what is stored; known once it was asked what is `missing`."""
@@ -104,8 +105,9 @@ class Store:
             self.machines.add("" if part.origin is None else part.origin.machine)
             if part.origin is not None:
                 self._named[part.name] = part.origin.named
-                if part.origin.hash in self._alike:
-                    self._note(part.name, part.size, part.origin.machine)
+                # Of others nothing is known by their request: they stay as they are.
+                if self._algos[part.origin.hash].issuperset(_algos(part.tables)):
+                    self._note(part.name, part.size, part.origin.machine, part.origin.hash)
         self._remove(found.replaced)
         for folder, name in orphans(self._out):
             part = parse_part(name)
@@ -135,30 +137,57 @@ class Store:
         return len(self._stored)
 
     def append(self, rows: Sequence[CellRows | Block]) -> None:
-        """Writes the rows of some cells, a part for each kind of machine, and puts many parts together as one."""
-        by_machine: dict[str, list[CellRows | Block]] = {}
-        for row in rows:
-            by_machine.setdefault(row.machine or self._origin.machine, []).append(row)
-        for machine, theirs in by_machine.items():
+        """Writes the rows of some cells, and puts many parts together as one.
+
+        They become a part for each kind of machine; more where no request has asked for all of their learners.
+        """
+        apart: dict[tuple[str, str], list[CellRows | Block]] = {}
+        for request, row in itertools.chain.from_iterable(map(self._by_request, rows)):
+            apart.setdefault((row.machine or self._origin.machine, request), []).append(row)
+        for (machine, request), theirs in apart.items():
             alone = [each for each in theirs if isinstance(each, CellRows)]
             tables = [each.tables for each in theirs if isinstance(each, Block)]
-            self._write(_joined([*([tables_of(alone, self._varying)] if alone else []), *tables]), machine)
+            self._write(
+                _joined([*([tables_of(alone, self._varying)] if alone else []), *tables]), machine, request
+            )
             self.machines.add(machine)
             self._stored |= {key_of(cell, self._varying) for each in theirs for cell in each.cells}
         for key in sorted(self._small):
-            sizes = self._small[key]
+            sizes, (machine, algos, _) = self._small[key], key
             if len(sizes) >= TOGETHER or (len(sizes) > 1 and sum(sizes.values()) >= LARGEST_PART):
-                self._put_together(list(self._small.pop(key)), machine=key[0])
+                self._put_together(
+                    list(self._small.pop(key)), machine, self._request_of(algos) or self._origin.hash
+                )
+
+    def _by_request(self, row: CellRows | Block) -> Iterator[tuple[str, CellRows | Block]]:
+        """The same rows with the hash of the request that they go under: apart by learners where these share none."""
+        algos = {cell.algo for cell in row.cells}
+        request = self._request_of(algos)
+        if request is None and isinstance(row, Block) and len(algos) > 1:
+            for algo in sorted(algos):
+                mine = row.chosen([place for place, cell in enumerate(row.cells) if cell.algo == algo])
+                yield from self._by_request(mine)
+        else:
+            yield request or self._origin.hash, row
+
+    def _request_of(self, algos: Iterable[str]) -> str | None:
+        """The hash of the request of what is appended, or of the last one that asked for all of these learners."""
+        wanted = frozenset(algos)
+        every = (self._origin.hash, *reversed(self._asked))
+        return next((each for each in every if wanted <= self._algos.get(each, frozenset())), None)
 
     def put(self, tables: Mapping[str, pa.Table], machine: str = "") -> None:
         """Writes rows that are tables already, as `gpcjax.sweep.rows.tables_of` makes them: one part, as it is."""
-        self._write(tables, machine or self._origin.machine)
+        self._write(tables, machine or self._origin.machine, self._origin.hash)
 
-    def _write(self, tables: Mapping[str, pa.Table], machine: str, replaces: Sequence[str] = ()) -> None:
+    def _write(
+        self, tables: Mapping[str, pa.Table], machine: str, request: str, replaces: Sequence[str] = ()
+    ) -> None:
         known = set(itertools.chain.from_iterable(self._named.values()))
-        new = {self._origin.hash, *(each for name in replaces for each in self._named.get(name, ()))}
+        new = {request, *(each for name in replaces for each in self._named.get(name, ()))}
         asked = {hash_: each for hash_, each in self._asked.items() if hash_ in new or hash_ not in known}
         origin = self._origin._replace(
+            hash=request,
             machine=machine,
             asked=list(asked.values()),
             named=list(asked),
@@ -167,19 +196,20 @@ class Store:
         files = {folder: sealed(tables[folder], folder, origin) for folder in BESIDE if folder in tables}
         sums = {folder: sha256(data) for folder, data in files.items()}
         episodes = sealed(tables[EPISODES], EPISODES, origin, sums, replaces)
-        name = part_name(self._next, self._origin.hash, episodes)
+        name = part_name(self._next, request, episodes)
         for folder, data in files.items():
             write_atomic(self._out / folder / name, data)
         write_atomic(self._out / EPISODES / name, episodes)
         self._next += 1
         self._named[name] = list(asked)
-        self._note(name, len(episodes) + sum(map(len, files.values())), machine)
+        self._note(name, len(episodes) + sum(map(len, files.values())), machine, request)
 
-    def _note(self, name: str, size: int, machine: str) -> None:
+    def _note(self, name: str, size: int, machine: str, request: str) -> None:
         if size < LARGEST_PART:
-            self._small.setdefault((machine, int(math.log(size, TOGETHER / 2))), {})[name] = size
+            algos, about = self._algos.get(request, frozenset()), int(math.log(size, TOGETHER / 2))
+            self._small.setdefault((machine, tuple(sorted(algos)), about), {})[name] = size
 
-    def _put_together(self, names: Sequence[str], machine: str) -> None:
+    def _put_together(self, names: Sequence[str], machine: str, request: str) -> None:
         """Writes the rows of some parts as one, then removes them. Leaves them where one is damaged by now."""
         wanted: dict[str, Sequence[str] | None] = dict.fromkeys((EPISODES, *BESIDE))
         try:
@@ -195,7 +225,7 @@ class Store:
             # Whatever came twice: within a part nobody would find it again.
             found.append(of_cells(part.tables, keys, cells - seen) if cells & seen else part.tables)
             seen |= cells
-        self._write(_joined(found), machine, replaces=names)
+        self._write(_joined(found), machine, request, replaces=names)
         self._remove(names)
 
     def _remove(self, names: Iterable[str]) -> None:
@@ -204,6 +234,11 @@ class Store:
             self._named.pop(name, None)
             for folder in (EPISODES, *BESIDE):
                 (self._out / folder / name).unlink(missing_ok=True)
+
+
+def _algos(tables: Mapping[str, pa.Table]) -> set[str]:
+    """The learners of a part."""
+    return set(tables[EPISODES].column("algo").unique().to_pylist())
 
 
 def _joined(parts: Sequence[Mapping[str, pa.Table]]) -> Mapping[str, pa.Table]:

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import gpcjax
 
-_LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
+LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "pandas", "pyarrow")
+"""Whose versions every manifest has."""
 
 
 def versions() -> dict[str, str]:
     """Of what rows are computed with."""
-    libraries = {name: version(name) for name in _LIBRARIES}
+    libraries = {name: version(name) for name in LIBRARIES}
     return {"gpcjax": gpcjax.__version__, "python": platform.python_version(), **libraries}
 
 

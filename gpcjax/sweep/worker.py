@@ -22,6 +22,8 @@ from gpcjax.engine.pool import Pool
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
 from gpcjax.sweep.build import make_pool
+from gpcjax.sweep.digests import ENTRY as DIGESTS
+from gpcjax.sweep.digests import Loaded
 from gpcjax.sweep.environment import programs_folder, refuse_another_environment
 from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors.base import COUNTS, Message, Orders, Say, Totals
@@ -69,6 +71,7 @@ class _Worker:
         self._compiled = 0
         self._pool: tuple[tuple[Program, Keeping | None], Pool] | None = None
         """The last one, and what it is for: a worker that stays may be asked for more of the same."""
+        self._code = Loaded()
         folder = programs_folder()
         self._programs = None if folder is None else Executables(folder)
 
@@ -88,6 +91,7 @@ class _Worker:
 
     def _teach(self, first: Cell, orders: Orders) -> None:
         pool = self._pool_for(first, orders.keeping)
+        self._code.refuse_other(first, orders.agree.get(DIGESTS, {}))
         check_columns(first, pool.template.learner, orders.varying)
         runs = Runs(pool, orders, self._say)
         self._before, self._paces_before = dataclasses.replace(pool.counters), pool.paces()

@@ -77,6 +77,17 @@ def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, be
     assert read_episodes(merge([out])).equals(read_episodes(merge([expected])))
 
 
+def test_so_is_one_by_a_command_that_was_nothing_new(tmp_path, capsys):
+    """The others have all of it from one request, and no request of its own."""
+    out = tmp_path / "o"
+    for settings in ({"seeds": 6}, {"seeds": "4-9"}, {"seeds": 3}):
+        run(out, 1, **settings)
+    capsys.readouterr()
+    again = run(out, 2, seeds=3)
+    assert f"gpcjax: {again}: the other shards were asked for other things before" in capsys.readouterr().err
+    assert seeds(merge([out])) == [*range(10)]
+
+
 def test_one_that_lost_its_manifest_keeps_its_share(tmp_path):
     """Which depends on what was asked for first, even if it was asked for again since."""
     out, requests = tmp_path / "o", [{"seeds": "4-6"}, {"seeds": 8}, {"seeds": 12}]
@@ -106,6 +117,17 @@ def test_those_of_another_sweep_are_none(tmp_path):
     sweep(out, **SETTINGS | {"episodes": 4}, seeds=4, shard="2/2")
     with pytest.raises(UserError, match=r"2-of-2: it is a shard of another sweep than .*1-of-2$"):
         merge([out])
+
+
+def test_in_another_order_they_have_other_shares(tmp_path):
+    """Which is no fault of another version."""
+    folders, requests = [], [{"seeds": 5}, {"seeds": "3-9"}]
+    for number, asked in ((1, requests), (2, requests[::-1])):
+        for settings in asked:
+            folder = run(tmp_path / str(number), number, **settings)
+        folders.append(folder)
+    with pytest.raises(UserError, match=r"it was not asked for the same things as .*, one after the other: "):
+        merge(folders, tmp_path / "whole")
 
 
 def test_elsewhere_the_refusal_says_what_to_do(tmp_path):

@@ -311,6 +311,16 @@ class TestMerging:
         self.changed(out, **{ENTRY: as_json(keeping_of("policies", "last"))})
         assert read_manifest(merge([out]))["complete"]
 
+    def test_shards_that_keep_different_things(self, out):
+        """The first one does not say what."""
+        for number, what in ((2, "policies"), (3, "states")):
+            folder = Shard(number, 3).folder(out)
+            self.changed(folder, **{ENTRY: as_json(keeping_of(what, "last"))})
+        with pytest.raises(UserError, match=r"3-of-3: of its runs it keeps states .*, .*2-of-3 policies "):
+            merge([out])
+        self.changed(folder, **{ENTRY: as_json(keeping_of("policies", "last"))})
+        assert ENTRY not in read_manifest(merge([out]))
+
     def test_runs_that_were_under_way_there_are_over(self, out):
         begun = {**read_manifest(Shard(1, 3).folder(out)), "complete": False}
         del begun["shard"]

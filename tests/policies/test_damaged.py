@@ -4,6 +4,7 @@ import gc
 import json
 import logging
 import random
+import re
 import shutil
 import sys
 import time
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.errors import UserError
+from gpcjax.errors import Unwritten, UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.policies import checkpoint, folder
 from gpcjax.policies.saved import load_policy, shipped_path
@@ -127,6 +128,58 @@ def test_arrays_that_do_not_fit_on_the_disk_are_one_line(tmp_path, at_most, size
     gc.collect()
     assert not list(tmp_path.iterdir())
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "line"),
+    [
+        ({"a": np.ones(2), "b": np.zeros((0, 3))}, "b has no entries (shape (0, 3)), which cannot be saved"),
+        ({"a": np.array(["x"])}, "a has entries of <U1, which cannot be saved: give numbers"),
+        (
+            {"a": np.zeros(2, [("x", float)])},
+            "a has entries of [('x', '<f8')], which cannot be saved: give numbers",
+        ),
+        ({}, "there is no array with an entry to save"),
+    ],
+)
+def test_arrays_without_a_form_are_no_fault_of_the_disk(tmp_path, arrays, line):
+    with pytest.raises(UserError) as error:
+        folder.write_folder(tmp_path / "mine", {}, arrays)
+    assert str(error.value) == f"{tmp_path / 'mine'}: {line}"
+    assert not list(tmp_path.iterdir())
+
+
+def _raised(error, cause=None):
+    """A checkpointer that fails."""
+
+    class Failing:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            pass
+
+        def save(self, *arguments):
+            raise error from cause
+
+    return Failing
+
+
+@pytest.mark.parametrize(
+    ("raised", "kind", "text"),
+    [
+        (_raised(RuntimeError("a fault")), RuntimeError, "a fault"),
+        (_raised(MemoryError()), Unwritten, "(Cannot allocate memory), give another path"),
+        (_raised(OSError(28, "")), Unwritten, "(No space left on device), give another path"),
+        (_raised(ValueError("long"), OSError(28, "")), Unwritten, "(No space left on device)"),
+        (_raised(ExceptionGroup("two", [ValueError("[os_error_code='28']")])), Unwritten, "(No space left"),
+    ],
+)
+def test_only_what_the_system_refused_is_told_as_that(tmp_path, monkeypatch, raised, kind, text):
+    monkeypatch.setattr(checkpoint, "_checkpointer", raised)
+    with pytest.raises(kind, match=re.escape(text)) as error:
+        folder.write_folder(tmp_path / "mine", {}, {"a": np.ones(1)})
+    assert type(error.value) is kind and not list(tmp_path.iterdir())
 
 
 def test_words_of_a_thread_that_nobody_hears_are_dropped_and_all_others_told(monkeypatch):

@@ -9,6 +9,7 @@ from gpcjax.report.compare_notes import uncounted
 from gpcjax.report.groups import gather
 from gpcjax.report.summary import summarise
 from gpcjax.report.tables import warnings
+from gpcjax.report.words import cut_short
 from tests.report import synthetic
 
 
@@ -76,6 +77,7 @@ def test_an_episode_that_was_cut_is_in_no_number():
     for name in ("returns", "corrections"):
         left, as_if = (getattr(each.study.groups[0], name) for each in (summary, without))
         np.testing.assert_array_equal(left, as_if)
+    assert summary.study.groups[0].limits == without.study.groups[0].limits
     sentence = "24 episodes that were ended before the task did (by a person, a limit of time, or a failure)"
     assert f"{sentence} are in no number below." in warnings(summary)
     folder = SimpleNamespace(name="first", study=summary.study)
@@ -86,6 +88,39 @@ def test_a_lesson_of_which_no_episode_is_whole_says_so():
     frame = synthetic.episodes().query("algo == 'coach' and error == 0").assign(status="cut")
     with pytest.raises(UserError, match="each of its episodes was ended before the task did"):
         summary_of(frame)
+
+
+def test_a_run_of_which_no_episode_is_whole_is_in_no_group_and_not_missing():
+    """No sweep could run it again, nor one that has fewer whole episodes than others."""
+    frame = synthetic.episodes(algos=("gpc", "coach"), errors=(0.0,), seeds=4)
+    gpc, last = frame["algo"] == "gpc", frame["episode"] == frame["episode"].max()
+    others = frame[(frame["seed"] != 2) & gpc]
+    frame.loc[((frame["seed"] == 2) & gpc) | ~gpc | (last & (frame["seed"] == 3)), "status"] = "cut"
+    summary = summary_of(frame)
+    (group,) = summary.study.groups
+    assert group.algo == "gpc" and group.seeds.tolist() == [0, 1] and group.unfinished == (3,)
+    assert (summary.unfinished, summary.missing, summary.study.cut_runs) == (1, 0, 5)
+    assert warnings(summary) == [
+        "1 run has not finished and is in no number below.",
+        f"{cut_short(151)} are in no number below.",
+        "5 runs have no other episode.",
+    ]
+    assert uncounted([SimpleNamespace(name="first", study=summary.study)])[0].endswith(
+        ", in no number; 5 runs without any other episode."
+    )
+    as_if = summary_of(others[others["seed"] < 2]).table()
+    left = summary.table()
+    pd.testing.assert_frame_equal(left.drop(columns="unfinished"), as_if.drop(columns="unfinished"))
+
+
+def test_of_people_no_sweep_makes_up_for_what_is_missing():
+    frame = synthetic.episodes(algos=("coach",), errors=(0.0,), seeds=4)
+    frame = frame[(frame["seed"] != 2) | (frame["episode"] < 9)]
+    assert "The same sweep again runs what is missing." in warnings(summary_of(frame))
+    manifest = synthetic.manifest(frame)
+    manifest["specification"]["teacher"] = "person"
+    said = warnings(summarise(gather(frame, manifest)))
+    assert said == ["1 run has not finished and is in no number below."]
 
 
 def test_order_of_the_rows_of_a_store_does_not_count(cartpole):

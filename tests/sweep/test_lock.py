@@ -174,6 +174,32 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
         pass
 
 
+def test_locks_that_are_refused_for_a_moment_take_no_file_of_another(tmp_path, monkeypatch, holder):
+    before = (tmp_path / LOCK).read_bytes()
+
+    def none(descriptor, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(lock.fcntl, "flock", none)
+        with held(tmp_path):
+            pass
+    assert (tmp_path / LOCK).read_bytes() == before
+    assert f"process {holder.pid} on" in refused(tmp_path)
+
+
+def test_nothing_is_left_locked_where_the_file_was_removed(tmp_path):
+    """A thread that is refused has locked a new file by then."""
+    with held(tmp_path):
+        (tmp_path / LOCK).unlink()
+        with ThreadPoolExecutor(1) as pool:
+            line = pool.submit(refused, tmp_path).result()
+        assert line.startswith(f"{tmp_path}: another sweep writes there: wait until it ends")
+    assert lock.holder(tmp_path) is None
+    with held(tmp_path):
+        pass
+
+
 def test_where_nothing_can_be_written(tmp_path):
     (tmp_path / LOCK).mkdir()
     assert f"{tmp_path}: nothing can be written there (Is a directory)" in refused(tmp_path)

@@ -597,9 +597,9 @@ class TestTogether:
         size = sum(path.stat().st_size for path in tmp_path.rglob("*.parquet"))
         monkeypatch.setattr(store_module, "LARGEST_PART", 3 * size)
 
-        def counted(self, names, machine):
+        def counted(self, names, *where):
             counts.append(len(names))
-            put(self, names, machine)
+            put(self, names, *where)
 
         monkeypatch.setattr(Store, "_put_together", counted)
         for cell in self.CELLS[1:12]:
