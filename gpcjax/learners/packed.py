@@ -141,7 +141,7 @@ def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
         if RECIPE in card:
             return template_of_own(card)
         return _template(_checked_settings(card))
-    except (UserError, KeyError, TypeError) as error:
+    except (UserError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{source}: this is not a learner's card ({first_line(error)})") from None
 
 

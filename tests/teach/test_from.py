@@ -356,6 +356,19 @@ def test_a_setting_that_is_no_number_is_told_with_its_folder(credit, capsys, mon
     assert "--from odd: its credit" in said and "is no number" in said and said.count("\n") == 1
 
 
+@pytest.mark.parametrize("damaged", [{"shapes": "x"}, {"recipe": {"settings": "gpc"}}])
+def test_a_damaged_card_of_a_learner_of_ones_own_is_told(damaged, tmp_path):
+    saved(tmp_path / "kept", "tests.teach.drifting:Turned", "mountaincar")
+    card = read_card(tmp_path / "kept", "learner")
+    arrays = read_arrays(tmp_path / "kept", card, "learner")
+    told = {
+        name: {**card[name], **value} if isinstance(value, dict) else value for name, value in damaged.items()
+    }
+    write_folder(tmp_path / "odd", {**card, **told}, arrays)
+    with pytest.raises(UserError, match=r"odd/card\.json: this is not a learner's card"):
+        gpcjax.load_learner(tmp_path / "odd")
+
+
 def test_variants_are_given_by_flags(course_of):
     words = ("--scaling", "1,2", "--human-scaling", "1,2,3", "--no-sparsify")
     course, _ = course_of("--env", "mountaincar", *words)
