@@ -176,7 +176,7 @@ def plain(value: object) -> object:
         return value
     try:
         return value.item()  # pyright: ignore[reportAttributeAccessIssue]
-    except TypeError:
+    except (TypeError, NotImplementedError):  # of what jax traces, and of a random key
         return value
 
 

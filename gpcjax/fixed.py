@@ -20,8 +20,9 @@ T = TypeVar("T")
 def fixed(thing: T) -> T:
     """The same with whole numbers, truth values, texts and functions in static fields; itself if there are none.
 
-    A field is made static as a whole, if there is no other number in it. The class is one of the same name, under that
-    which `thing` has; modules in fields are treated alike, gpcjax's own left as they are.
+    A field is made static as a whole, if there is no other number in it. Whole numbers that are alone in a list or a
+    table stay arrays. The class is one of the same name, under that which `thing` has; modules in fields are treated
+    alike, gpcjax's own left as they are.
     """
     if not isinstance(thing, eqx.Module) or type(thing).__module__.startswith("gpcjax."):
         return thing
@@ -31,7 +32,14 @@ def fixed(thing: T) -> T:
             continue
         value = values[each.name]
         leaves = jax.tree.leaves(value)
-        if leaves and not any(map(_is_traced, leaves)) and _is_hashable(value):
+        if (
+            leaves
+            and not any(map(_is_traced, leaves))
+            and (_is_hashable(value) or not all(map(_is_whole, leaves)))
+        ):
+            values[each.name] = jax.tree.map(
+                lambda leaf: leaf, value
+            )  # not the list itself: its owner may change it
             names.append(each.name)
         elif any(fixed(part) is not part for part in jax.tree.leaves(value, is_leaf=_is_module)):
             values[each.name] = jax.tree.map(fixed, value, is_leaf=_is_module)
@@ -47,6 +55,11 @@ def _is_module(part: Any) -> bool:
 def _is_traced(leaf: Any) -> bool:
     """Whether it is an array, or a number that one is made of."""
     return isinstance(leaf, float | complex | np.ndarray | np.inexact | jax.Array | jax.ShapeDtypeStruct)
+
+
+def _is_whole(leaf: Any) -> bool:
+    """Whether it is a whole number or a truth value, of which an array can be made too."""
+    return isinstance(leaf, int | np.integer | np.bool_)
 
 
 def _is_hashable(value: Any) -> bool:

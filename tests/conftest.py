@@ -264,6 +264,8 @@ def _compile(plainly):
     """From now on; what was compiled otherwise is forgotten."""
     if plainly != jax.config.values["jax_disable_most_optimizations"]:
         jax.clear_caches()
+        if (classroom := sys.modules.get("gpcjax.engine.classroom")) is not None:
+            classroom._programs.cache_clear()  # which are compiled ahead: jax knows nothing of them
         jax.config.update("jax_disable_most_optimizations", plainly)
 
 

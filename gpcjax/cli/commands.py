@@ -120,11 +120,16 @@ def _teach() -> Command:
         ),
         Flag("--port", "on this port (default the first from 8765 on that is free)", "PORT", str(PORT)),
     )
+    # The room of a dictionary, and what a full one does, are those of any lesson.
+    variants = tuple(
+        flag_of(option, "teach") for option in VARIANTS if option.name not in ("on_full", "max_capacity")
+    )
     own = Flag("--set", "a setting of a learner of one's own", "NAME=VALUE", "NAME=VALUE", repeated=True)
     return Command(
         _TEXTS["teach"],
         (
             ("lesson", lesson),
+            ("variants of GPC and GPC-NS", variants),
             ("hyperparameters of the learners", tuple(map(alone, OF_LEARNERS))),
             ("how a learner reckons with late advice", tuple(map(alone, OF_CREDIT))),
             ("", (own,)),

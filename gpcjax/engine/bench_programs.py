@@ -228,7 +228,7 @@ class Programs:
         lane = fresh(begin((), jnp.zeros(learner.obs_size)), learner, Elsewhere(), jnp.asarray(0), 1, credit)
         width = self._tier.lanes
 
-        def widened(leaf: Array, axis: int) -> Array:
+        def widened(leaf: Any, axis: int) -> Array:
             shape = (width, *leaf.shape) if axis == 0 else (*leaf.shape, width)
             return jnp.broadcast_to(jnp.expand_dims(leaf, axis), shape)
 

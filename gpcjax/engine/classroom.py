@@ -1,9 +1,9 @@
 """Many sessions in one process, each learner a lane of a block that others share.
 
-Every step of all that are due is one call of a program, and so is every correction. A pupil whose dictionary is full
-moves to the block of the next room before the correction that may not fit: a matter of its own counts, as in a pool
-(`gpcjax.engine.pool`). Blocks have 8 or 16 lanes, so that the bits of a lane do not depend on who else is there: the
-recording of a session here is made again in a classroom with one pupil.
+The steps of all that are due are one call of a program for each block, and a correction is one call. A pupil whose
+dictionary is full moves to the block of the next room before the correction that may not fit: a matter of its own
+counts, as in a pool (`gpcjax.engine.pool`). Blocks have 8 or 16 lanes, so that the bits of a lane do not depend on who
+else is there: the recording of a session here is made again in a classroom with one pupil.
 
 Methods may be called from several threads. Of each pupil one thing happens at a time, which its caller sees to; the
 steps of others do not wait for a correction.
@@ -62,6 +62,11 @@ def _programs(tier: Tier, kind: "_Kind") -> Programs:
     return Programs(tier, *kind.given)
 
 
+def _in_arrays(learner: Learner) -> Learner:
+    """The same learner: one of a person's own may have numbers of Python's, which no block has lanes of."""
+    return jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
+
+
 class _Kind:
     """Learners and credit of one structure are equal, whatever their numbers."""
 
@@ -99,6 +104,7 @@ class Classroom:
         self.rooms = [list(room) for room in rooms]
         """As a recording names them."""
         self.places = places
+        learner = _in_arrays(learner)
         self._learner, self._credit = learner, credit
         tiers = [Tier(*room, self._width(room)) for room in rooms or [(1, 1)]]
         self._programs = [_programs(tier, _Kind(learner, credit)) for tier in tiers]
@@ -121,6 +127,7 @@ class Classroom:
         Raises:
             UserError: there is none.
         """
+        learner = _in_arrays(learner)
         if state is None:
             state = learner.init(streams.first_key(seed))
         return self._place(Pupil(self, learner, seed, credit), state)

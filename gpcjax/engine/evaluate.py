@@ -19,7 +19,9 @@ from gpcjax.engine.traced import Function, traced
 from gpcjax.envs.base import Env, State, started, stepped
 from gpcjax.envs.host import HostEnv
 from gpcjax.errors import UserError
+from gpcjax.learners.calls import unless_given_away
 from gpcjax.policies.base import vector
+from gpcjax.policies.vectors import is_traced
 
 FIRST_SEED = Numbers(0, 1_000_000_000, whole=True)
 """Of the starts: with as many as there may be, seeds still fit into an int32."""
@@ -52,9 +54,10 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
             that is another one when it is traced again, or that changes what it refers to (it draws numbers, counts,
             or remembers), is called on the host with a numpy array, at each step once for each start, in their order.
             So is one that refers to an iterator or to a file that it can read. What changes where Python cannot look,
-            such as a clock, and chooses between results of jax's may pass unseen: `np.asarray` around the result says
-            that it is to be called on the host. One that remembers an episode is asked for one start at a time. What
-            other threads change meanwhile stays as they leave it.
+            such as a clock, and chooses between results of jax's may pass unseen, and what is remembered there is left
+            with what jax traces: `obs = np.asarray(obs)` as its first line says that it is to be called on the host.
+            One that remembers an episode is asked for one start at a time. What other threads change meanwhile stays as
+            they leave it.
         starts: a whole number from 1 to 1,000,000.
         seed: of the first start, a whole number from 0 to 1,000,000,000.
 
@@ -63,7 +66,7 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
 
     Raises:
         ValueError: no task, no function, another number of starts, another seed, actions of another shape or type, or
-            a task whose states have other shapes or types than it declares.
+            a task whose states have other shapes or types than it declares, or a policy that remembers what jax traces.
     """
     if not isinstance(env, Env | HostEnv):
         raise UserError(f'env {shown(env)}: give a task, such as make_env("cartpole")')
@@ -73,6 +76,13 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
         )
     starts = checked("starts", starts, int, COUNT)
     first = checked("seed", seed, int, FIRST_SEED)
+    try:
+        return _evaluated(env, policy, starts, first)
+    except jax.errors.UnexpectedTracerError as error:
+        raise _left_behind() from error
+
+
+def _evaluated(env: Env | HostEnv, policy: Function, starts: int, first: int) -> Returns:
     found = traced(env, policy)
     if isinstance(env, HostEnv):
         actions = _one_by_one(env, policy) if found is None else _together(env, *found, starts)
@@ -85,7 +95,8 @@ def evaluate(env: Any, policy: Any, starts: Any = 100, seed: Any = 0) -> Returns
         eqx.combine(arrays, static), lambda obs: act(values, obs), seeds
     )
     seeds = first + jnp.arange(starts)
-    return program(run, arrays, values, seeds)(arrays, values, seeds)
+    with unless_given_away(values):
+        return program(run, arrays, values, seeds)(arrays, values, seeds)
 
 
 def idle(env: Env | HostEnv) -> Function:
@@ -186,7 +197,12 @@ def _together(env: HostEnv, values: Any, act: Callable[..., Any], starts: int) -
     """A policy that jax can trace, for all lanes at once."""
     batch = jax.vmap(act, in_axes=(None, -1), out_axes=-1)
     batch = program(batch, values, jnp.zeros((env.obs_size, starts)))
-    return lambda obs, going: np.asarray(batch(values, jnp.asarray(obs)), np.float64)
+
+    def actions(obs: Float[np.ndarray, "obs lanes"], going: list[int]) -> Float[np.ndarray, "action lanes"]:
+        with unless_given_away(values):
+            return np.asarray(batch(values, jnp.asarray(obs)), np.float64)
+
+    return actions
 
 
 def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:
@@ -195,9 +211,18 @@ def _one_by_one(env: Env | HostEnv, policy: Function) -> Actions:
     def actions(obs: Float[np.ndarray, "obs lanes"], going: list[int]) -> Float[np.ndarray, "action lanes"]:
         result = np.zeros((env.action_size, obs.shape[1]))
         for lane in going:
-            # A copy: what it does to its observation is its own affair.
-            given = vector("the policy's action", policy(obs[:, lane].copy()), env.action_size, env.name)
-            result[:, lane] = given
+            given = policy(obs[:, lane].copy())  # a copy: what it does to its observation is its own affair
+            if is_traced(given):
+                raise _left_behind()
+            result[:, lane] = vector("the policy's action", given, env.action_size, env.name)
         return result
 
     return actions
+
+
+def _left_behind() -> UserError:
+    """What is said where a policy remembers what it was traced with, and Python could not look there."""
+    return UserError(
+        "the policy remembers something out of sight, which jax traced: make it anew, and begin it with "
+        "obs = np.asarray(obs), so that it is called at each step"
+    )

@@ -1,9 +1,12 @@
 """What things hold that somebody may change: read before and after a call, and put back where the call changed it."""
 
 import collections
+import contextvars
+import functools
+import operator
 import random
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +112,7 @@ def of_cells(
 
 
 def of_content(thing: Any) -> tuple[Callable[[], Any], Callable[[Any], Any]] | None:
-    """How what a table, a list or a generator holds is read and written; None of anything else."""
+    """How what a table, a list, an array of objects or a generator holds is read and written; None of anything else."""
     if isinstance(thing, dict):
         return lambda: dict(thing), lambda content: (thing.clear(), thing.update(content))
     if isinstance(thing, list):
@@ -118,6 +121,8 @@ def of_content(thing: Any) -> tuple[Callable[[], Any], Callable[[Any], Any]] | N
         return lambda: list(thing), lambda content: (thing.clear(), thing.extend(content))
     if isinstance(thing, set):
         return lambda: list(thing), lambda content: (thing.clear(), thing.update(content))
+    if isinstance(thing, np.ndarray) and thing.dtype == object:
+        return lambda: list(thing.flat), functools.partial(_put_into, thing)
     if isinstance(thing, np.random.Generator):
         return lambda: thing.bit_generator.state, lambda content: setattr(
             thing.bit_generator, "state", content
@@ -127,6 +132,23 @@ def of_content(thing: Any) -> tuple[Callable[[], Any], Callable[[Any], Any]] | N
     if isinstance(thing, random.Random) and not isinstance(thing, random.SystemRandom):
         return thing.getstate, thing.setstate
     return None
+
+
+def of_a_context(
+    variable: contextvars.ContextVar[Any],
+) -> tuple[Callable[[], dict[str, Any]], Callable[[str, Any], Any]]:
+    """The same of a variable of a context. It is not written: a function is traced in a context of its own."""
+
+    def read() -> dict[str, Any]:
+        value = variable.get(MISSING)
+        return {} if value is MISSING else {"value": value}
+
+    return read, lambda name, value: None
+
+
+def _put_into(array: Any, content: list[Any]) -> None:
+    for place, each in zip(np.ndindex(array.shape), content, strict=True):
+        array[place] = each  # one by one: else an array among them would be spread over several
 
 
 def cell_content(cell: types.CellType) -> Any:
@@ -144,12 +166,17 @@ def same(one: Any, other: Any) -> bool:
     if type(one) is not type(other):
         return False
     if isinstance(one, dict):
-        return list(one) == list(other) and all(same(one[name], other[name]) for name in one)
+        return list(one) == list(other) and _all_same(one.values(), other.values())
     if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(same, one, other))
+        return len(one) == len(other) and _all_same(one, other)
     if isinstance(one, np.ndarray):
         return one.dtype == other.dtype and one.tobytes() == other.tobytes()
     return isinstance(one, str | bytes | int | float | complex) and (one == other or one != one != other)
+
+
+def _all_same(some: Iterable[Any], others: Iterable[Any]) -> bool:
+    # Mostly they are the very same ones, which costs a hundredth of a look at each.
+    return all(map(operator.is_, some, others)) or all(map(same, some, others))
 
 
 def is_traced(value: Any) -> bool:

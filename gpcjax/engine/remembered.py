@@ -6,12 +6,17 @@ meanwhile, such as a loop that teaches in another thread, is not touched.
 """
 
 import collections
+import contextlib
+import contextvars
 import functools
+import inspect
 import io
+import itertools
 import random
 import sys
 import types
-from collections.abc import Callable, Iterable, Iterator
+import weakref
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -25,6 +30,7 @@ from gpcjax.engine.held import (
     Content,
     Names,
     cell_content,
+    of_a_context,
     of_a_dict,
     of_cells,
     of_content,
@@ -33,10 +39,12 @@ from gpcjax.engine.held import (
 from gpcjax.engine.writes import Writes, functions, names_in, writes
 
 MOST, LARGEST = 10_000, 2**26
-"""Things that are looked at, and bytes of numpy's arrays that are copied: what lies beyond may change unseen."""
+"""Things that are looked at, beside numbers and texts, and bytes of arrays, lists and tables that are copied: what lies
+beyond may change unseen."""
 
 _LIBRARIES = frozenset(("builtins", "jax", "jaxlib", "numpy", "equinox", "gpcjax", "jaxtyping"))
-_PLAIN = (str, bytes, int, float, complex, type(None), jax.Array)
+_PLAIN = frozenset((str, bytes, bool, int, float, complex, type(None)))
+"""Types of what refers to nothing: a long list of it costs no look at each."""
 _BARE = frozenset(("builtins", "abc", "argparse", "enum", "types", "typing"))
 """Modules whose classes call and write nothing of those that are made from them."""
 _BOUND = (types.BuiltinMethodType, types.MethodWrapperType)
@@ -48,8 +56,9 @@ class Remembered:
     """All that a function refers to, as it was when this was made, and as a call left it (`look_again`).
 
     Looked at are variables of the functions around it, global names that it uses, those of a person's modules and
-    classes too, attributes of objects, entries of tables, lists and arrays, and generators of random numbers, with that
-    of a module `random` or `numpy` that it names; in these, what they refer to in turn. Clocks and queues are not.
+    classes too, attributes of objects, entries of tables, lists and arrays, variables of the context, and generators of
+    random numbers, with that of a module `random` or `numpy` that it names; in these, what they refer to in turn, also
+    weakly. Clocks and queues are not.
     """
 
     def __init__(self, function: Any):
@@ -69,12 +78,17 @@ class Remembered:
         waiting = collections.deque([function])
         while waiting and len(seen) < MOST:
             thing = waiting.popleft()
-            if isinstance(thing, Tracer):
-                self.tracers[id(thing)] = thing
-            if id(thing) in seen or isinstance(thing, _PLAIN):
+            if id(thing) in seen:
                 continue
-            seen.add(id(thing))
-            waiting.extend(self._look_at(thing))
+            with contextlib.suppress(
+                Exception
+            ):  # of what refuses to be looked at, as a proxy of what is gone
+                if isinstance(thing, jax.Array):
+                    self.tracers |= {id(thing): thing} if isinstance(thing, Tracer) else {}
+                    continue
+                seen.add(id(thing))
+                further = (part for part in self._look_at(thing) if type(part) not in _PLAIN)
+                waiting.extend(itertools.islice(further, MOST))
 
     def look_again(self) -> None:
         """What there is now is what a call has left."""
@@ -114,8 +128,15 @@ class Remembered:
         if isinstance(thing, functools.partial):
             return thing.func, *thing.args, *thing.keywords.values()
         if isinstance(thing, tuple | frozenset):
-            return thing
-        if isinstance(thing, np.ndarray):
+            return _parts(thing)
+        if isinstance(thing, weakref.ref):
+            return (thing(),)
+        if type(thing) in weakref.ProxyTypes:
+            return (thing.__repr__.__self__,)  # what it stands for: of all else it has that one's
+        if isinstance(thing, contextvars.ContextVar):
+            self._keep(thing, *of_a_context(thing), freely=True)
+            return (thing.get(None),)
+        if isinstance(thing, np.ndarray) and thing.dtype != object:
             return self._of_an_array(thing)
         if isinstance(thing, type):
             return [
@@ -123,11 +144,13 @@ class Remembered:
             ]
         how = of_content(thing)
         if how is not None:
+            if not self._has_place(sys.getsizeof(thing)):
+                return ()
             content = how[0]()
             self._contents.append(Content(thing, *how, content, content))
             return () if isinstance(thing, RANDOM) else _parts(content)
         if _library(type(thing).__module__):
-            return (thing.__wrapped__,) if hasattr(thing, "__wrapped__") else ()
+            return (getattr(thing, "__wrapped__", None),)
         return self._of_an_object(thing)
 
     def _of_a_function(self, function: types.FunctionType) -> Iterable[Any]:
@@ -191,13 +214,18 @@ class Remembered:
         return [method for name in names for method in self._methods.pop(name, ())]
 
     def _of_an_array(self, array: Any) -> Iterable[Any]:
-        if array.flags.writeable and self._bytes + array.nbytes <= LARGEST and array.dtype != object:
-            self._bytes += array.nbytes
+        if array.flags.writeable and self._has_place(array.nbytes):
             copied = array.copy()
             self._contents.append(
                 Content(array, array.copy, functools.partial(np.copyto, array), copied, copied)
             )
         return ()
+
+    def _has_place(self, size: int) -> bool:
+        """Whether so many bytes are copied, too: they are counted then."""
+        fits = self._bytes + size <= LARGEST
+        self._bytes += size if fits else 0
+        return fits
 
     def _of_an_object(self, thing: Any) -> Iterable[Any]:
         """An object of somebody's class: what it holds, and what all of its class have in common."""
@@ -209,20 +237,25 @@ class Remembered:
         for each in kind.__mro__:
             if not _library(each.__module__):
                 parts += self._of_a_class(each)
-                slots = vars(each).get("__slots__", ())
-                slots = (slots,) if isinstance(slots, str) else tuple(slots)
+                # By their names as they are kept: one that begins with __ has its class's before it.
+                slots = {
+                    name: value for name, value in vars(each).items() if inspect.ismemberdescriptor(value)
+                }
                 parts += self._slots(thing, slots, freely=bool(others))
         return *parts, *self._attributes(thing, freely=bool(others))
 
-    def _slots(self, thing: Any, names: tuple[str, ...], freely: bool) -> Iterable[Any]:
+    def _slots(self, thing: Any, slots: dict[str, Any], freely: bool) -> Iterable[Any]:
         def read() -> dict[str, Any]:
-            found = {name: getattr(thing, name, MISSING) for name in names}
-            return {name: value for name, value in found.items() if value is not MISSING}
+            found = {}
+            for name, slot in slots.items():
+                with contextlib.suppress(AttributeError):  # nothing there yet
+                    found[name] = slot.__get__(thing)
+            return found
 
         def write(name: str, value: Any) -> None:
             object.__delattr__(thing, name) if value is MISSING else object.__setattr__(thing, name, value)
 
-        if names:
+        if slots:
             self._keep(thing, read, write, freely)
         return read().values()
 
@@ -252,8 +285,10 @@ def _generators(module: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
     return (np.random.mtrand._rand,) if drawn else ()
 
 
-def _parts(content: Any) -> Iterator[Any]:
-    return iter(content.values() if isinstance(content, dict) else content)
+def _parts(content: Any) -> Iterable[Any]:
+    """What a table, a list or a tuple refers to; nothing if that refers to nothing further."""
+    parts = content.values() if isinstance(content, dict) else content
+    return () if _PLAIN.issuperset(map(type, parts)) else parts
 
 
 def _is_used_up(thing: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Sessions in a classroom: each learner is a lane of blocks that others share; all that are due step in one call."""
+"""Sessions in a classroom: each learner is a lane of blocks that others share; a block's step in one call."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -52,7 +52,7 @@ def leave(session: Session) -> None:
 def propose_together(
     sessions: Sequence[Session], observations: Float[np.ndarray, "sessions obs"]
 ) -> list[UserError | None]:
-    """`Session.propose` of each session of one classroom at its observation, in one call of its programs.
+    """`Session.propose` of each session of one classroom at its observation, in one call for each block.
 
     Their recordings are deferred. Gives what each of them raised.
     """

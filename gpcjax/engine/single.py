@@ -68,9 +68,9 @@ def _first(state: State) -> State:
 def with_state(block: Lane, learner: Learner, state: State) -> Lane:
     """The block with another state of its learner, which may have other room."""
     controller = jax.tree.map(lambda leaf: jnp.expand_dims(leaf, -1), learner.controller(state))
-    return dataclasses.replace(
-        block, state=jax.tree.map(lambda leaf: leaf[None], state), controller=controller
-    )
+    # A number of Python's, and an array of numpy's, which its owner may write into, become jax's own.
+    state = jax.tree.map(lambda leaf: jnp.array(leaf, copy=not isinstance(leaf, jax.Array))[None], state)
+    return dataclasses.replace(block, state=state, controller=controller)
 
 
 def grown(block: Lane) -> Lane | None:

@@ -1,5 +1,6 @@
 """Whether jax can trace somebody's policy, and what it is then: traced more than once, and nothing left behind."""
 
+import contextvars
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -64,7 +65,7 @@ def _steady(env: Env | HostEnv, policy: Function) -> _Lifted | None:
         if seen[-1].uses_up:  # each call takes something, also one that jax traces
             found.append(None)
         else:
-            found.append(_lifted(env, policy, seen[-1].look_again))
+            found.append(contextvars.copy_context().run(_lifted, env, policy, seen[-1].look_again))
         if found[-1] is None:
             break
         disturbed |= seen[-1].is_disturbed

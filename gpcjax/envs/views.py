@@ -2,7 +2,7 @@
 
 from typing import Any, get_args
 
-from gpcjax.allowed import FINITE, checked, shown
+from gpcjax.allowed import FINITE, checked, plain, shown
 from gpcjax.describe import Control, Key, View
 from gpcjax.errors import UserError
 
@@ -44,14 +44,19 @@ def check_view(source: str, view: Any, sizes: tuple[int, int]) -> None:
                 f"{source}: controls {shown(each)}: give gpcjax.Control(less=(KEY, WORDS), more=(KEY, WORDS)), with "
                 f"{', '.join(KEYS)} as KEY"
             )
-    if view.scene not in SCENES or SCENES[view.scene] not in (0, size):
+    if not isinstance(view.scene, str) or view.scene not in SCENES or SCENES[view.scene] not in (0, size):
         drawn = ", ".join(f"{name} ({numbers} numbers)" for name, numbers in SCENES.items() if name)
         raise UserError(
             f"{source}: scene {shown(view.scene)}: give none, or the one of its {size} numbers: {drawn}"
         )
-    axes = _listed(source, view, "axes")
+    axes: list[Any] = [plain(axis) for axis in _listed(source, view, "axes")]
     if len(axes) != 2 or not all(type(axis) is int and axis >= 0 for axis in axes):
         raise UserError(f"{source}: axes {shown(view.axes)}: give the places of two numbers, from 0")
+    # Those that nobody gave are of any task: of one with a single number the page shows that alone.
+    if tuple(axes) != View.axes and (axes[0] == axes[1] or max(axes) >= size):
+        raise UserError(
+            f"{source}: axes {shown(view.axes)}: give two of the {size} numbers of an observation, from 0"
+        )
     if not isinstance(view.hint, str):
         raise UserError(f"{source}: hint {shown(view.hint)}: give a sentence")
 

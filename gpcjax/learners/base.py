@@ -20,6 +20,7 @@ from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners import compiled
+from gpcjax.learners.calls import check_kept
 from gpcjax.learners.forms import check_learned
 from gpcjax.learners.info import Info as Info
 from gpcjax.learners.info import Status as Status
@@ -111,6 +112,7 @@ class Learner(ByIdentity):
         It stays as it is, whatever is learned afterwards. For `gpcjax.evaluate`, or a loop without learning.
         """
         compiled.check_state(self, state)
+        compiled.check_fields(self)
         known = {id(leaf) for leaf in jax.tree.leaves(state)}
         # Copied where they are the state's own, which may be given away (`donate`), or written into if it is numpy's.
         own = lambda leaf: jnp.array(leaf) if id(leaf) in known and not isinstance(leaf, Tracer) else leaf  # noqa: E731
@@ -136,7 +138,8 @@ class Learner(ByIdentity):
             action: (action_size,), the action that was executed there, clipped to [-1, 1] as `act` gives it.
             advice: (action_size,), h: -1 for less, 1 for more, 0 for no advice, which leaves that dimension untouched.
             donate: `state` is not used any more, and its arrays may be overwritten: nothing of it is copied, and it is
-                refused if it is given again.
+                refused if it is given again; by jax itself, in its own words, as an argument of somebody's own jit or
+                vmap, or of a method of somebody's own.
 
         Returns:
             The new state, of the same shapes, and what was done. A status other than `Status.OK` means that the
@@ -174,11 +177,12 @@ class Learner(ByIdentity):
             donate: as `correct` will be called.
 
         Returns:
-            The thread, which has begun: `join` it to wait until all is compiled. A program that ends waits for it.
+            The thread, which has begun: `join` it to wait until all is compiled; what a learner's own method raises
+            there is raised by that. A program that ends waits for it.
         """
         # The thread has a state of its own: this one may be given away before it comes to that.
         own = self._run_once(state, donate)
-        thread = threading.Thread(target=self._warm_up_larger, args=(own, donate), name="gpcjax warm-up")
+        thread = _Ahead(target=self._warm_up_larger, args=(own, donate), name="gpcjax warm-up")
         thread.start()
         return thread
 
@@ -215,6 +219,7 @@ class Learner(ByIdentity):
 
     def controller(self, state: State) -> Controller:
         """The policy of `state`, ready for many steps."""
+        check_kept(state)
         return Proposing(learner=fixed(self), state=state)
 
     def points(self, state: State) -> tuple[Int[Array, ""], Int[Array, ""]]:
@@ -290,6 +295,23 @@ class Learner(ByIdentity):
     def __getattribute__(self, name: str) -> Any:
         # equinox makes a module of each method that is looked up, which takes longer than to act: a loop's two are not.
         return object.__getattribute__(self, name) if name in _LOOPED else super().__getattribute__(name)
+
+
+class _Ahead(threading.Thread):
+    """A thread that raises what failed in it where somebody waits for it, not where nobody can catch it."""
+
+    _failed: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            super().run()
+        except Exception as error:
+            self._failed = error
+
+    def join(self, timeout: float | None = None) -> None:
+        super().join(timeout)
+        if self._failed is not None:
+            raise self._failed
 
 
 def _stays_finite(new: State, old: State) -> list[Bool[Array, ""]]:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from gpcjax.learners.base import Info, Learner, Status
+from gpcjax.learners.calls import check_kept
 from gpcjax.policies.grid import Grid, GridController
 
 
@@ -46,6 +47,7 @@ class COACH(Learner):
 
     def controller(self, state: COACHState) -> GridController:
         """The policy of `state`."""
+        check_kept(state)
         return GridController(weights=state.policy, grid=self.grid)
 
     def init(self, key: PRNGKeyArray | None = None) -> COACHState:

@@ -6,14 +6,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
-from gpcjax.learners.calls import Called, check_kept
-from gpcjax.learners.forms import check
+from gpcjax.fixed import fixed
+from gpcjax.learners.calls import Called, check_arrays, check_kept
+from gpcjax.learners.forms import check, does_not_fit, worded
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
 from gpcjax.policies.vectors import near
@@ -75,8 +77,11 @@ def rehearse(learner: Learner, state: State) -> None:
     """
     if type(learner).__module__.startswith("gpcjax."):
         return
+    check_fields(learner)
+    _first_form(learner)
     if state is None:
         state = learner.init(seeded_key())
+    check_arrays(state)
     obs, none = jnp.zeros(learner.obs_size), jnp.zeros(learner.action_size)
     eqx.filter_eval_shape(act.function, learner, state, obs)
     eqx.filter_eval_shape(correct.function, learner, state, obs, none, none)
@@ -85,13 +90,35 @@ def rehearse(learner: Learner, state: State) -> None:
 def check_state(learner: Learner, state: State) -> None:
     """Refuses what is no state of this kind of learner. Where a function is traced: a call pays nothing."""
     check_kept(state)
-    expected = jax.eval_shape(lambda: learner.init(seeded_key()))
+    check_arrays(state)
+    expected = _first_form(learner)
     shapes = list(map(_shape, jax.tree.leaves(state)))
     if jax.tree.structure(state) == jax.tree.structure(expected) and None not in shapes:
         expected = jax.eval_shape(lambda: learner._like(state))
         if shapes == [leaf.shape for leaf in jax.tree.leaves(expected)]:
             return
     raise UserError(f"state {shown(state)}: give a state of this learner, from its init or its correct")
+
+
+def _first_form(learner: Learner) -> State:
+    """The shapes and types of what `init` gives. Raises ForeignError: there are other things in it than arrays."""
+    init = lambda: learner.init(seeded_key())  # noqa: E731
+    try:
+        return jax.eval_shape(init)
+    except TypeError:
+        for path, leaf in jax.tree.leaves_with_path(eqx.filter_eval_shape(init)):
+            if _shape(leaf) is None:
+                what = f"its state{jax.tree_util.keystr(path)} is {worded(leaf)}, it should be an array"
+                raise does_not_fit(f"{type(learner).__name__}.init", what) from None
+        raise
+
+
+def check_fields(learner: Learner) -> None:
+    """Refuses a learner whose numbers cannot be traced: functions or texts are in one field with some of them."""
+    for path, leaf in jax.tree.leaves_with_path(fixed(learner)):
+        if not isinstance(leaf, bool | int | float | complex | np.number | np.bool_ | np.ndarray | jax.Array):
+            name = f"{type(learner).__name__}{jax.tree_util.keystr(path)}"
+            raise UserError(f"{name} {shown(leaf)}: there are numbers beside it, give it a field of its own")
 
 
 def _shape(leaf: Any) -> tuple[int, ...] | None:
@@ -108,10 +135,10 @@ def _check_precision(learner: Learner, state: State) -> None:
     check_state(learner, state)
     given, kept = (
         {leaf.dtype.name for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
-        for tree in (eqx.filter(state, eqx.is_array), jax.eval_shape(lambda: learner.init(seeded_key())))
+        for tree in (eqx.filter(state, eqx.is_array), _first_form(learner))
     )
     if given - kept:
-        raise ValueError(
+        raise UserError(
             f"the learner's state holds {', '.join(sorted(given))}, where init gives {', '.join(sorted(kept))}: "
             "cast it back, or teach from the start"
         )

@@ -28,6 +28,7 @@ from gpcjax._x64 import seeded_key
 from gpcjax.allowed import POSITIVE, Numbers, checked, checked_series
 from gpcjax.elementary import tanh
 from gpcjax.learners.base import Info, Learner, Moment
+from gpcjax.learners.calls import check_kept
 from gpcjax.learners.descriptions import D_COACH
 from gpcjax.policies.network import NetworkController, SquashedNetwork
 
@@ -90,6 +91,7 @@ class DCoach(Learner):
 
     def controller(self, state: DCoachState) -> SquashedNetwork:
         """The network of `state` alone, the scaling of observations in its first layer."""
+        check_kept(state)
         first, *others = (layer.weight for layer in state.layers)
         biases = tuple(_offset(layer) for layer in state.layers)
         return SquashedNetwork(NetworkController((first * self.scaling[None], *others), biases))
@@ -120,11 +122,13 @@ class DCoach(Learner):
 
     def idle(self, state: DCoachState, key: PRNGKeyArray) -> DCoachState:
         """A step for a minibatch of the buffer, if there is anything in it."""
+        check_kept(state)
         new = self._replayed(state, key)
         return jax.tree.map(lambda now, old: jnp.where(state.count > 0, now, old), new, state)
 
     def measure(self, state: DCoachState) -> dict[str, Float[Array, ""]]:
         """How full the buffer is, and the loss of the newest minibatch."""
+        check_kept(state)
         return {"buffer_points": self._filled(state).astype(float), "replay_loss": state.loss}
 
     def _filled(self, state: DCoachState) -> Int[Array, ""]:

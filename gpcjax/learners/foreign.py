@@ -64,12 +64,14 @@ def check_sizes(name: str, learner: Learner, asked: Mapping[str, Any]) -> None:
             )
 
 
-def arguments(spec: LearnerSpec) -> tuple[str, ...]:
-    """What a person's class or function takes by name, such as texts, which are no settings of a sweep."""
+def arguments(spec: LearnerSpec) -> dict[str, Any]:
+    """What a person's class or function takes by name, with defaults; texts and such are no settings of a sweep."""
     parameters = inspect.signature(resolve(spec.make)).parameters.values()
-    return tuple(
-        each.name for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
-    )
+    return {
+        each.name: each.default
+        for each in parameters
+        if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+    }
 
 
 def checked_settings(spec: LearnerSpec, values: dict[str, Any]) -> dict[str, Any]:

@@ -114,6 +114,7 @@ class GPC(Learner):
 
     def controller(self, state: GPCState) -> KernelController:
         """The policy of `state`, ready for many steps."""
+        check_kept(state)
         kernel = self.policy.kernel
         scale = state.policy.scale * kernel.inverse_length
         return KernelController(

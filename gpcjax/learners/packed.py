@@ -25,6 +25,7 @@ from gpcjax.gp.renormalised import Renormalised
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.calls import check_kept
 from gpcjax.learners.coach import COACH
+from gpcjax.learners.compiled import check_fields
 from gpcjax.learners.dcoach import DCoach
 from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
 from gpcjax.learners.factory import ALLOWED, make_learner
@@ -32,10 +33,12 @@ from gpcjax.learners.gpc import GPC, GPCState
 from gpcjax.learners.recipes import (
     RECIPE,
     check_plain,
+    differing,
     leaves_of,
-    other_function,
+    made_again,
     pack_own,
     recipe_of,
+    shapes_of,
     template_of_own,
 )
 from gpcjax.policies.checkpoint import first_line
@@ -84,23 +87,25 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
 
 
 def _packed_own(learner: Learner, state: State) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The same of a learner of somebody's own, if its class makes such a one again."""
+    """The same of a learner of somebody's own, if its class makes such a one again, whose numbers fit into it."""
     recipe = recipe_of(learner)
+    check_fields(learner)
     check_plain("this learner cannot be saved", recipe.algo, (learner, state))
-    card, arrays = pack_own(recipe, learner, state)
     try:
-        template = template_of_own(card)
+        template, odd = made_again(recipe, shapes_of((learner, state)))
     except UserError as error:
         raise UserError(f"{_ANOTHER} ({error})") from None
-    if jax.tree.structure((learner, state)) != jax.tree.structure(template):
-        name = other_function(learner, template[0])
-        why = (
-            ""
-            if name is None
-            else f" ({name} is another function than its class has: write a class that has it)"
-        )
-        raise UserError(_ANOTHER + why)
-    return card, arrays
+    check_plain("this learner cannot be saved", recipe.algo, template)
+    odd = odd or differing(learner, template[0])
+    if not odd and jax.tree.structure((learner, state)) != jax.tree.structure(template):
+        odd = f"its state is another structure than {recipe.algo} makes"
+    card, arrays = pack_own(recipe, learner, state)
+    if not odd:
+        arrays, odd = _fitted(template, arrays)
+        odd = odd and f"{odd} holds numbers that {_kind(leaves_of(template)[odd])[1]} cannot hold"
+    if odd:
+        raise UserError(f"{_ANOTHER} ({odd})")
+    return card, {name: value for name, value in arrays.items() if value.size}
 
 
 @under_own_settings
@@ -136,7 +141,7 @@ def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
         if RECIPE in card:
             return template_of_own(card)
         return _template(_checked_settings(card))
-    except (UserError, KeyError, TypeError) as error:
+    except (UserError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{source}: this is not a learner's card ({first_line(error)})") from None
 
 
@@ -147,19 +152,44 @@ def unpacked(
 
     Those of a built-in learner must be finite.
     """
-    expected = leaves_of(template)
-    empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
-    arrays = empty | dict(arrays)
-    odd = next(
-        (name for name in expected if name not in arrays or _kind(arrays[name]) != _kind(expected[name])), ""
-    )
-    odd = odd or next(iter(arrays.keys() - expected.keys()), "")
+    arrays, odd = _fitted(template, arrays)
     if not odd and type(template[0]) in _BUILT_IN:
         odd = _not_finite(arrays)
     if odd:
         raise UserError(f"{source}: this learner is damaged ({odd} is not what the card says)")
-    leaves = [jnp.asarray(arrays[name]) for name in expected]
+    leaves = [jnp.asarray(arrays[name]) for name in leaves_of(template)]
     return jax.tree.unflatten(jax.tree.structure(template), leaves)
+
+
+def _fitted(
+    template: tuple[Learner, State], arrays: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], str]:
+    """All arrays that `template` has, and the first name whose array is of another shape or type, or "".
+
+    A learner of a person's own may hold numbers of another type, which become the same ones of this type.
+    """
+    expected = leaves_of(template)
+    empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
+    arrays = empty | dict(arrays)
+    if type(template[0]) not in _BUILT_IN:
+        arrays = {
+            name: _cast(value, expected[name].dtype) if name in expected else value
+            for name, value in arrays.items()
+        }
+    odd = next(
+        (name for name in expected if name not in arrays or _kind(arrays[name]) != _kind(expected[name])), ""
+    )
+    return arrays, odd or next(iter(arrays.keys() - expected.keys()), "")
+
+
+def _cast(value: np.ndarray, kind: np.dtype) -> np.ndarray:
+    """The same numbers in another type, or `value` itself where they would be others."""
+    if value.dtype == kind or not np.can_cast(value.dtype, kind, "same_kind"):
+        return value
+    with np.errstate(all="ignore"):
+        cast = value.astype(kind)
+        same = np.array_equal(cast.astype(value.dtype), value, equal_nan=True)
+    return cast if same else value
 
 
 def checked_learner(learner: Any) -> Learner:

@@ -5,16 +5,18 @@ that the arrays must have. So it can be unpacked where that module is, and as lo
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from gpcjax._x64 import seeded_key, under_own_settings
-from gpcjax.allowed import plain
-from gpcjax.errors import UserError
+from gpcjax.allowed import plain, shown
+from gpcjax.errors import ForeignError, UserError
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.foreign import arguments
@@ -57,24 +59,36 @@ def recipe_of(learner: Learner) -> Recipe:
     settings: dict[str, Any] = {"obs_size": learner.obs_size, "action_size": learner.action_size}
     spec = find("learner", name, "learner")
     numeric = {each.name: each.compiled == "value" for each in spec.settings}
-    for argument in arguments(spec):
+    for argument, default in arguments(spec).items():
         value = plain(getattr(learner, argument, _MISSING))
-        if numeric.get(argument, isinstance(value, str | bool | None)) and value is not _MISSING:
+        if numeric.get(argument, _is_told(value, default)) and value is not _MISSING:
             settings[argument] = np.asarray(value).item() if argument in numeric else value
     return Recipe(name, None, settings)
 
 
-def other_function(learner: Learner, made: Learner) -> str | None:
-    """The name of a field in which a learner has another function than the one that its recipe has made."""
-    names = [each.name for each in dataclasses.fields(learner)]
-    return next(
-        (
-            name
-            for name in names
-            if callable(given := getattr(learner, name)) and given != getattr(made, name, given)
-        ),
-        None,
-    )
+def _is_told(value: object, default: object) -> bool:
+    """Whether an argument that is no setting is part of how a learner is made again."""
+    # A number where there usually is nothing, too: the class makes no array there that it could be put into.
+    is_number = isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, str | bool | None) or (default is None and is_number)
+
+
+def differing(learner: Learner, made: Learner) -> str:
+    """In which field a learner is another one than its recipe has made, as far as its arrays do not tell it, or ""."""
+    for field in dataclasses.fields(learner):
+        given, other = getattr(learner, field.name), getattr(made, field.name)
+        same = given == other if field.metadata.get("static") else _form(given) == _form(other)
+        if not same and isinstance(given, eqx.Module):
+            return f"{field.name} has another structure than its class gives it"
+        if not same and callable(given):
+            return f"{field.name} is another function than its class has: write a class that has it"
+        if not same:
+            return f"{field.name} {shown(given)} is {shown(other)} as its class makes it"
+    return ""
+
+
+def _form(value: Any) -> Any:
+    return value if callable(value) and not isinstance(value, eqx.Module) else jax.tree.structure(value)
 
 
 def check_plain(place: str, name: str, tree: Any) -> None:
@@ -98,7 +112,7 @@ def check_recipe(recipe: Recipe, place: str) -> None:
     Raises:
         UserError: a part of it is no array of numbers, such as a random key; `place` begins the message.
     """
-    check_plain(place, recipe.algo, _shapes(recipe.made()))
+    check_plain(place, recipe.algo, _shapes(recipe.made(), {}))
 
 
 @under_own_settings
@@ -117,7 +131,7 @@ def pack_own(recipe: Recipe, learner: Learner, state: State) -> tuple[dict[str, 
         RECIPE: dataclasses.asdict(recipe),
     }
     # A dictionary's room is no matter of the recipe: it grows.
-    card["shapes"] = {name: list(np.shape(leaf)) for name, leaf in leaves.items()}
+    card["shapes"] = {name: list(shape) for name, shape in shapes_of((learner, state)).items()}
     return card, {name: np.asarray(leaf) for name, leaf in leaves.items() if np.size(leaf)}
 
 
@@ -132,21 +146,45 @@ def template_of_own(card: Mapping[str, Any]) -> tuple[Learner, State]:
     told = card[RECIPE]
     env = None if told["env"] is None else str(told["env"])
     recipe = Recipe(str(told["algo"]), env, dict(told["settings"]))
-    learner, state = _shapes(recipe.made())
-    shapes = {name: tuple(shape) for name, shape in card["shapes"].items()}
-    known = {name: np.shape(leaf) for name, leaf in leaves_of((learner, state)).items()}
-    # A dictionary has other room, along any axis but that of the action's dimensions.
-    grows = find("learner", recipe.algo).dictionary
+    template, odd = made_again(recipe, {name: tuple(shape) for name, shape in card["shapes"].items()})
+    if odd:
+        raise UserError(f"{recipe.algo} makes a learner of other shapes now than when this was kept: {odd}")
+    return template
 
-    def form(shape: tuple[int, ...]) -> tuple[int, ...]:
-        return (*shape[:1], len(shape)) if grows else shape
 
-    if {name: form(shape) for name, shape in shapes.items()} != {
-        name: form(shape) for name, shape in known.items()
-    }:
-        raise UserError(f"{recipe.algo} makes a learner of other shapes now than when this was kept")
-    names = iter(leaves_of((None, state)))
-    return learner, jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(shapes[next(names)], leaf.dtype), state)
+def made_again(recipe: Recipe, shapes: Mapping[str, tuple[int, ...]]) -> tuple[tuple[Learner, State], str]:
+    """The learner of a recipe and the form of its state, in arrays of these shapes, and what has none of them, or "".
+
+    Those of the learner itself may be of any shape; one of its state is as `init` makes it, or as it has grown.
+    """
+    learner, state = _shapes(recipe.made(), shapes)
+    known = shapes_of((learner, state))
+    odd = next((name for name in {**known, **shapes} if known.get(name) != shapes.get(name)), "")
+    if not odd:
+        return (learner, state), ""
+    if known.keys() == shapes.keys():
+        names = iter(leaves_of((None, state)))
+        form = lambda leaf: jax.ShapeDtypeStruct(shapes[next(names)], leaf.dtype)  # noqa: E731
+        grown = jax.tree.map(form, state)
+        if _grows(recipe, known, shapes) or shapes_of((learner, _like(learner, grown))) == shapes:
+            return (learner, grown), ""
+    told, made = (f"of shape {each[odd]}" if odd in each else "not there" for each in (shapes, known))
+    return (learner, state), f"{odd} is {told}, and {made} as {recipe.algo} makes it"
+
+
+def _grows(recipe: Recipe, known: Mapping[str, Any], shapes: Mapping[str, Any]) -> bool:
+    """Whether they differ as dictionaries do, which have other room along any axis but that of the dimensions."""
+    return find("learner", recipe.algo).dictionary and all(
+        (*known[name][:1], len(known[name])) == (*shapes[name][:1], len(shapes[name])) for name in known
+    )
+
+
+def _like(learner: Learner, state: State) -> State:
+    """The form of a state with the room of this one, which is one of this learner's if that is its own form."""
+    try:
+        return jax.eval_shape(lambda state: learner._like(state), state)
+    except Exception as error:  # of a person's own method
+        raise ForeignError(f"{type(learner).__name__} cannot be asked for a larger state", error) from None
 
 
 def leaves_of(tree: Any) -> dict[str, Any]:
@@ -156,10 +194,25 @@ def leaves_of(tree: Any) -> dict[str, Any]:
     return {first[path[0].idx] + jax.tree_util.keystr(path[1:]): leaf for path, leaf in paths}
 
 
-def _shapes(learner: Learner) -> tuple[Learner, State]:
-    """The learner itself, all of whose numbers are arrays, and the shapes of its first state."""
+def shapes_of(tree: tuple[Learner, State]) -> dict[str, tuple[int, ...]]:
+    """That of each leaf, by its path."""
+    return {name: np.shape(leaf) for name, leaf in leaves_of(tree).items()}
+
+
+def _shapes(learner: Learner, shapes: Mapping[str, tuple[int, ...]]) -> tuple[Learner, State]:
+    """The learner itself, all of whose numbers are arrays, and the form of its first state.
+
+    Where it is to have other `shapes` there are forms in place of its arrays.
+    """
     learner = jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
-    return learner, jax.eval_shape(lambda: learner.init(seeded_key()))
+    leaves = leaves_of((learner, None))
+    others = {
+        name: jax.ShapeDtypeStruct(shapes[name], leaf.dtype)
+        for name, leaf in leaves.items()
+        if shapes.get(name, np.shape(leaf)) != np.shape(leaf)
+    }
+    made = lambda others: jax.tree.unflatten(jax.tree.structure(learner), ({**leaves, **others}).values())  # noqa: E731
+    return made(others), jax.eval_shape(lambda others: made(others).init(seeded_key()), others)
 
 
 def _is_plain(leaf: Any) -> bool:

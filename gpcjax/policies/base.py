@@ -1,6 +1,8 @@
 """What acts in jax: a controller, whose actions a policy (`gpcjax.policies.policy`) clips."""
 
 import abc
+from collections import OrderedDict
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,8 +17,10 @@ from gpcjax.policies.policy import Policy as Policy
 from gpcjax.policies.vectors import Vector as Vector
 from gpcjax.policies.vectors import beyond as beyond
 from gpcjax.policies.vectors import check_executed as check_executed
+from gpcjax.policies.vectors import is_traced
 from gpcjax.policies.vectors import near as near
 from gpcjax.policies.vectors import vector as vector
+from gpcjax.recent import recent
 
 
 class Computing(eqx.Module):
@@ -81,12 +85,20 @@ def acted(controller: Controller, obs: Vector) -> Float[Array, " action"]:
     Raises:
         ValueError: an observation of another shape, or one that holds no real numbers.
     """
-    return _act(controller, vector("obs", obs, controller.obs_size, "this policy"))
+    obs = vector("obs", obs, controller.obs_size, "this policy")
+    leaves, form = jax.tree.flatten(controller)
+    if type(controller).__module__.startswith("gpcjax.policies.") or any(map(is_traced, (obs, *leaves))):
+        return _act(controller, obs)
+    # A function of its own: jax keeps what it compiled for as long as the function is there.
+    return recent(_programs, form, lambda: jax.jit(lambda *given: _acting(*given)), KEPT)(controller, obs)
 
 
-# Inline: where a policy is part of a larger program, that program is the same as without this function.
-@jax.jit(inline=True)
-def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
+KEPT = 64
+"""Programs of policies of somebody's own that are kept: one with a function in a field is of another kind with each."""
+_programs: OrderedDict[Any, Callable[..., Any]] = OrderedDict()
+
+
+def _acting(controller: Controller, obs: Any) -> Float[Array, " action"]:
     action = controller(near(obs))
     if getattr(action, "shape", None) != (controller.action_size,):
         raise ForeignError(
@@ -94,6 +106,10 @@ def _act(controller: Controller, obs: Any) -> Float[Array, " action"]:
             f"an action is {_worded(action)}, it should be of shape ({controller.action_size},)",
         )
     return jnp.clip(action, -1.0, 1.0)
+
+
+# Inline: where a policy is part of a larger program, that program is the same as without this function.
+_act = jax.jit(_acting, inline=True)
 
 
 def _worded(action: Any) -> str:

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -21,14 +22,18 @@ _OS_ERROR = re.compile(r"\[os_error_code='(\d{1,4})'\]")
 _ZARR = {".zarray": "zarr", "zarr.json": "zarr3"}
 """The file with which an array says what it is, and the driver that reads one of its kind."""
 
+_ONE_AT_A_TIME = threading.Lock()
+"""Orbax's savers share what they wait for, and what is silenced meanwhile is of the whole process: two that saved at
+once waited for each other for ever, or left it silent. Nothing is shared by those that read."""
+
 
 def save_arrays(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Raises OSError, also where orbax and tensorstore say by exceptions of other kinds that a disk is full.
 
-    What else they raise is let through.
+    What else they raise is let through. Threads that save at the same time do so one after the other.
     """
     why = None
-    with _quietly():
+    with _ONE_AT_A_TIME, _quietly():
         try:
             with _checkpointer() as checkpointer:
                 checkpointer.save(folder.absolute(), dict(arrays))
@@ -131,22 +136,39 @@ def first_line(error: BaseException) -> str:
     return (line or type(error).__name__)[:200]
 
 
+_SPEAKERS = frozenset(("absl", "asyncio", "concurrent", "etils", "jax", "orbax", "tensorstore"))
+"""Whose loggers have something to say of a checkpoint."""
+
+
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours."""
+    """Without a word of orbax, absl, asyncio or a thread of theirs: what is wrong is said by an exception of ours.
+
+    What other threads log meanwhile is heard: it may be a robot's.
+    """
     import logging
     import warnings
 
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import orbax.checkpoint  # noqa: F401  (makes its loggers)
+
+        loggers = [
+            logger
+            for name, logger in tuple(logging.root.manager.loggerDict.items())
+            if name.partition(".")[0] in _SPEAKERS
+            and isinstance(logger, logging.Logger)
+            and not logger.disabled
+        ]
+        hook, sys.unraisablehook = sys.unraisablehook, lambda ignored: None
+        try:
+            for logger in loggers:
+                logger.disabled = True
             yield
-    finally:
-        sys.unraisablehook = hook
-        logging.disable(before)
+        finally:
+            for logger in loggers:
+                logger.disabled = False
+            sys.unraisablehook = hook
 
 
 def _checkpointer() -> Any:

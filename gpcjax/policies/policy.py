@@ -21,7 +21,8 @@ class Policy:
     The observation may be a list, a numpy or a jax array. Called with what is jax's, or that jax traces, it is part of
     jax: it may be used inside jit, vmap, grad and scan, and is a pytree whose leaves are those of `controller`. Called
     with anything else, the built-in kinds (Gaussian processes, grids, networks) compute in numpy and give an array of
-    numpy's, the same to 1e-12; a controller of one's own compiles itself.
+    numpy's, the same to 1e-12 where the observation is within thousands of length-scales of zero; a controller of
+    one's own compiles itself.
 
     Raises:
         ValueError: an observation of another shape, or one that holds no real numbers.

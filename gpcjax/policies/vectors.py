@@ -14,7 +14,10 @@ Vector = Any
 
 FARTHEST = 1e60
 """Numbers of an observation beyond it, up or down, are taken for it (`near`): their squares would be infinite, and an
-action made of them no number. A run of a sweep stops there (`Status.NON_FINITE`): no task leads that far."""
+action made of them no number. A run of a sweep stops there (`Status.NON_FINITE`): no task leads that far.
+
+It is no bound within which numbers can be told apart: that is one of scaled numbers, and follows from their digits.
+Those of a task may be large, where they are divided by as much (`scaling`, GPC-NS)."""
 
 
 def near(obs: Any) -> Any:

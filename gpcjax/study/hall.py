@@ -22,6 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -361,13 +362,16 @@ class Hall:
         )
         going, beginning = [], []
         for seat, moved in zip(seats, moves, strict=True):
-            if isinstance(moved, UserError):
-                seat.breaks(str(moved))
-            else:
+            try:
+                if isinstance(moved, UserError):
+                    raise moved
                 seat.moves(moved)
-                going.append(seat)
-                if seat.goes_on_after:
-                    beginning.append(seat)
+            except UserError as error:
+                seat.breaks(str(error))
+                continue
+            going.append(seat)
+            if seat.goes_on_after:
+                beginning.append(seat)
         if beginning:
             worlds, episodes = [seat.world for seat in beginning], [seat.episode + 1 for seat in beginning]
             for seat, obs in zip(beginning, begin_together(kind.worlds, worlds, episodes), strict=True):
@@ -407,4 +411,4 @@ class Hall:
 
 def _of(course: Course) -> Hashable:
     """All but the seed."""
-    return course.env, course.algo, course.settings
+    return replace(course, seed=0)

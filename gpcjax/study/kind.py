@@ -16,7 +16,7 @@ from gpcjax.teach.course import COURSE, RECORD, Course, seconds_of
 from gpcjax.teach.credit import credited
 from gpcjax.teach.tally import Tally
 from gpcjax.teach.taught import Taught, settings_of
-from gpcjax.teach.telling import bounds, described_task
+from gpcjax.teach.telling import axes_of, bounds, described_task
 from gpcjax.teach.worlds import Worlds
 
 
@@ -39,7 +39,7 @@ class Kind:
         prior = float(learner.largest_sigma())
         self.prior = prior if prior > 0 else None
         size = learner.obs_size
-        axes = task.view.axes if max(task.view.axes) < size else (0, min(1, size - 1))
+        axes = axes_of(task, size)
         # Without pictures: each takes longer than the steps of all.
         self.described: dict[str, Any] = described_task(
             task, learner, bounds(task, size, Tally()), axes, pictures=False

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from gpcjax.allowed import FINITE, NON_NEGATIVE, SWITCH, Numbers, OneOf, checked, shown, suggestion
+from gpcjax.allowed import FINITE, NON_NEGATIVE, SWITCH, Numbers, OneOf, checked, shown
 from gpcjax.errors import UserError
 from gpcjax.registry import find
 from gpcjax.study.design import LETTERS, ORDERS, Arm, Cell, cells, slots
@@ -149,14 +149,7 @@ def _course(learner: _Learner, task: str, settings: dict[str, Any], place: str) 
     for name, setting in given.items():
         if name in ("env", "algo"):
             raise UserError(f"{setting.source}: it is known already, leave it out")
-    course = Course.of({"env": Given(task, "tasks"), "algo": Given((learner.algo,), "algo"), **given})
-    kept = dict(course.settings)
-    for name, setting in given.items():
-        if name not in kept:
-            raise UserError(
-                f"{setting.source}: what a person teaches has no such setting{suggestion(name, kept)}, leave it out"
-            )
-    return course
+    return Course.of({"env": Given(task, "tasks"), "algo": Given((learner.algo,), "algo"), **given})
 
 
 def _orders(

@@ -1,11 +1,13 @@
 """The reception of a study: pages come in, people sit down, the experimenter looks on. In the server's event loop."""
 
 import asyncio
+import contextlib
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket
@@ -17,9 +19,8 @@ from gpcjax.study.protocol import EXPERIMENTER, LONGEST, PARTICIPANT
 from gpcjax.study.register import Refused, Register
 from gpcjax.study.showing import hello
 from gpcjax.study.sitting import Sitting
-from gpcjax.study.status import line_of
+from gpcjax.study.status import lesson_of, line_of
 from gpcjax.study.steps import Step
-from gpcjax.teach.course import Course
 from gpcjax.teach.pages import Page, attended, leave
 from gpcjax.teach.protocol import Command, parse
 
@@ -84,7 +85,7 @@ class Reception:
         if run is None:
             trial = study.trial
             assert trial is not None
-            course = Course(trial.course.env, trial.course.algo, trial.course.settings, participant.seed)
+            course = replace(trial.course, seed=participant.seed)
             return Run(participant.trial_folder(), course, trial.episodes, trial.seconds)
         return Run(
             participant.run_folder(run),
@@ -205,8 +206,10 @@ class Reception:
         """Nobody sits there, and nothing of the participant will be written any more."""
         participant = self.register.get(code)
         while participant is not None:
-            if (sitting := self._sittings.pop(code, None)) is not None:
-                await sitting.stop()
+            if (sitting := self._sittings.get(code)) is not None:
+                with contextlib.suppress(OSError):  # a full disk: of who is deleted no end is to be written
+                    await sitting.stop()
+                self._sittings.pop(code, None)
                 await sitting.close()
                 sitting.page = None  # that it goes is nothing to write down
             await asyncio.to_thread(self.hall.await_left, participant.folder)
@@ -243,7 +246,7 @@ class Reception:
             row |= {"here": sitting.page is not None, "held": sitting.held, "hidden": sitting.hidden}
             row["problem"] = sitting.problem
             if sitting.seat is not None:
-                row["lesson"] = _lesson(sitting)
+                row["lesson"] = lesson_of(sitting.seat.standing, sitting.state)
         return row
 
     def _report(self) -> None:
@@ -261,21 +264,26 @@ class Reception:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(SECOND)
-            try:
-                await self._second()
-            except Exception as error:  # the next second comes all the same
-                self.fault(f"{type(error).__name__}: {error}")
+            for code, sitting in list(self._sittings.items()):
+                await self._guarded(self._second_of(code, sitting))
+            await self._guarded(self._expire())
+            self._report()
 
-    async def _second(self) -> None:
-        for code, sitting in list(self._sittings.items()):
-            if not await sitting.tick() and self._sittings.get(code) is sitting and sitting.page is None:
-                del self._sittings[code]
+    async def _guarded(self, doing: Awaitable[None]) -> None:
+        """What goes wrong with one is told: others have their second, and the next one comes all the same."""
+        try:
+            await doing
+        except Exception as error:
+            self.fault(f"{type(error).__name__}: {error}")
+
+    async def _second_of(self, code: str, sitting: Sitting) -> None:
+        if not await sitting.tick() and self._sittings.get(code) is sitting and sitting.page is None:
+            del self._sittings[code]
+
+    async def _expire(self) -> None:
         if time.monotonic() - self._expired > EXPIRE_EVERY:
             self._expired = time.monotonic()
-            for late in await self.clerk(self.register.expire):
-                if (sitting := self._sittings.get(late.code)) is not None:
-                    await sitting.stop()
-        self._report()
+            await self.clerk(self.register.expire)
 
     async def close(self) -> None:
         """Gives all seats back; what was to be written is written."""
@@ -284,12 +292,3 @@ class Reception:
         for sitting in list(self._sittings.values()):
             await sitting.close()
         await self.clerk(lambda: None)
-
-
-def _lesson(sitting: Sitting) -> dict[str, Any]:
-    """How a run stands, for the experimenter."""
-    standing = sitting.seat.standing if sitting.seat is not None else None
-    names = ("episode", "step", "total", "corrections")
-    told = {name: getattr(standing, name, None) for name in names}
-    paused = sitting.state["paused"]
-    return {**told, "why": sitting.state.get("why", "") if paused else ""}

@@ -104,9 +104,10 @@ class Register:
             raise UserError(
                 f"{self.out}: nobody has the code {code!r} there, see gpcjax study status {self.out}"
             )
-        removed = [f"{found.folder} ({_count(found.folder)} files)"]
         going = found.folder.with_name(f"{_GOING}{found.folder.name}")
-        found.folder.rename(going)
+        if found.folder.exists() or not going.exists():  # which it is where an earlier try came no further
+            found.folder.rename(going)
+        removed = [f"{found.folder} ({_count(going)} files)"]
         shutil.rmtree(going)
         analysis = self.out / ANALYSIS
         if analysis.exists():

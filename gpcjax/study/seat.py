@@ -119,7 +119,7 @@ class Seat:
         self.problem(text)
 
     def moves(self, moved: Moved) -> None:
-        """Counts a step of the task: whether the episode ends there, and what is seen."""
+        """Counts a step of the task: whether the episode ends there, and what is seen. Raises: as `Taught.moved`."""
         assert self.taught is not None
         self.taught.moved(moved)
         self._steps += 1

@@ -79,6 +79,8 @@ class Sitting:
         self._asked = self._gone = self._acted = self._rested = 0.0
         self._sits = False
         """Whether the seat is prepared."""
+        self._goes_on = True
+        """Whether what was shown is a step, and no end."""
         self._needed = Needed()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -116,6 +118,7 @@ class Sitting:
     async def _show(self) -> None:
         """Tells the page where it is, and has a seat where one is needed."""
         step = self.participant.step
+        self._goes_on = step is not None
         self.tell(present(self.participant, self._rested - time.monotonic()))
         self.tell({"type": "held", "on": self.is_held})
         if step is None or step.kind not in ("run", "trial"):
@@ -350,7 +353,9 @@ class Sitting:
             return self.page is not None or self.seat is not None
         step = self.participant.step
         wants = step is not None and step.kind in ("run", "trial") and self.seat is None
-        if self.page is not None and wants and now - self._asked > AGAIN and not self._lock.locked():
+        ended = self._goes_on and step is None  # as the time to come back has run out
+        asks = self.page is not None and wants and now - self._asked > AGAIN
+        if (ended or asks) and not self._lock.locked():
             async with self._lock:
                 await self._show()
         return True

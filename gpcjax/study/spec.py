@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 from gpcjax.study.design import Arm, Cell, Treatment
@@ -124,7 +124,7 @@ class Study:
     def course(self, treatment: Treatment, task: str, seed: int) -> Course:
         """What is taught in a run."""
         known = self.courses[treatment.learner, treatment.arm, task]
-        return Course(known.env, known.algo, known.settings, seed)
+        return replace(known, seed=seed)
 
     def arm(self, name: str) -> Arm:
         """The arm of this name."""

@@ -1,5 +1,6 @@
 """How far everybody is: a line for each participant, in the terminal and on the experimenter's page."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,12 @@ def line_of(one: Participant) -> dict[str, Any]:
         "tasks": list(one.cell.tasks),
         "seen": one.kept.seen,
     }
+
+
+def lesson_of(standing: Any, state: Mapping[str, Any]) -> dict[str, Any]:
+    """How a run stands (`gpcjax.study.standing.Standing`), and why it rests, by the latest `state` of its seat."""
+    told = {name: getattr(standing, name, None) for name in ("episode", "step", "total", "corrections")}
+    return {**told, "why": state.get("why", "") if state["paused"] else ""}
 
 
 def status(out: Path) -> str:

@@ -53,7 +53,8 @@ class Clerk:
             head = pickle.dumps(kept, protocol=5, buffer_callback=arrays.append)
             told = [memoryview(head), *(each.raw() for each in arrays)]
         except Exception:  # a learner of one's own may hold anything
-            kept.write()
+            with self._lock:
+                kept.write()
             return
         with self._lock:
             for _ in range(TRIES):
@@ -66,11 +67,11 @@ class Clerk:
                     raise OSError(f"the process that writes policies and rows took over {LONGEST:g} s")
             else:
                 raise OSError("the process that writes policies and rows ended")
-        read, failed = answer
-        if not read:  # its class is one that only this process finds
-            kept.write()
-        elif failed is not None:
-            raise failed
+            read, failed = answer
+            if not read:  # its class is one that only this process finds
+                kept.write()
+            elif failed is not None:
+                raise failed
 
     def close(self) -> None:
         """Ends it, by force if it does not end by itself."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from gpcjax.allowed import Numbers
 from gpcjax.envs.registry import check_expert
 from gpcjax.errors import UserError
-from gpcjax.sweep.given import Given, Unchecked, said
+from gpcjax.sweep.given import Given, Unchecked
 from gpcjax.sweep.layout import MANIFEST, tell
-from gpcjax.sweep.options import OPTIONS, conditions, own_values
+from gpcjax.sweep.options import conditions, own_values
 
 if TYPE_CHECKING:
     from gpcjax.teach.origin import Origin
@@ -66,22 +66,23 @@ def _begun_with(
 ) -> tuple[dict[str, Given | Unchecked], "Origin"]:
     """What a lesson begins with, and the settings: those that were given, else those that were learned with there.
 
+    What of these does not count is told.
+
     Raises:
         UserError: nothing is there, or it is not clear which, or it means nothing to the learner that was given.
     """
     from gpcjax.policies.folder import CARD
     from gpcjax.teach.course import COURSE
+    from gpcjax.teach.made_with import as_given
     from gpcjax.teach.origin import of_run
     from gpcjax.teach.saved import of_saved
 
     algo, env = given.get("algo"), given.get("env")
-    wanted = algo.value[0] if algo is not None else None
+    wanted, task = algo.value[0] if algo is not None else None, env.value if env is not None else None
     if (path / MANIFEST).is_file() and not (path / COURSE).is_file():
-        origin = found = of_run(path, wanted, seed, where)
-        settings = {}
+        origin = found = of_run(path, wanted, seed, where, task)
     elif (path / CARD).is_file():
-        found = of_saved(path, wanted, env.value if env is not None else None)
-        origin, settings = path, found.settings
+        origin, found = path, of_saved(path, wanted, task)
     else:
         raise UserError(
             f"--from {path}: nothing was saved there, give OUT/saves/NAME of a folder of gpcjax teach, or a run "
@@ -90,14 +91,19 @@ def _begun_with(
     if env is None and found.env is None:
         raise UserError(f"--from {path}: it does not say what it learned, give the task (--env)")
     if env is not None and found.env not in (None, env.value):
-        tell(f"--from {path}: what was learned on {found.env} is taught {env.value} now")
+        tell(
+            f"--from {path}: what was learned on {found.env} is taught {env.value} now, with the settings of "
+            f"{found.algo} there"
+        )
+    elif found.settings is None and (env is not None or found.env is not None):
+        tell(
+            f"--from {path}: {found.algo} goes on with what another learner learned, with settings of its own"
+        )
+    settings = found.settings or {}
     rates = {"static_rate", "constant_rate"}  # of which there is one
     if rates & given.keys():
         settings = {name: value for name, value in settings.items() if name not in rates}
     usual: dict[str, Given | Unchecked] = {"algo": Given((found.algo,), "--from")}
     if found.env is not None:
         usual["env"] = Given(found.env, "--from")
-    for name, value in settings.items():
-        plain = Unchecked(value, f"--from {path}: {name}", name)
-        usual[name] = said(plain, OPTIONS[name]) if name in OPTIONS else plain
-    return {**usual, **given}, origin
+    return {**usual, **as_given(f"--from {path}", settings), **given}, origin

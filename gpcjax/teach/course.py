@@ -11,25 +11,33 @@ OUT/manifest.json, episodes/, corrections/    its rows, as those of a sweep
 import dataclasses
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from gpcjax.allowed import suggestion
 from gpcjax.describe import TaskSpec
 from gpcjax.errors import UserError
 from gpcjax.recording import RECORD
 from gpcjax.registry import find
 from gpcjax.sweep.atomic import write_atomic
 from gpcjax.sweep.given import Given, Unchecked
-from gpcjax.sweep.options import OPTIONS
+from gpcjax.sweep.options import OF_CREDIT, OPTIONS, TUNING, accept
 from gpcjax.sweep.plan import Cell, plan
+from gpcjax.sweep.scales import SCALES
 from gpcjax.sweep.seeds import Seeds
 from gpcjax.sweep.spec import SweepSpec, make_spec
 from gpcjax.sweep.versions import versions
 
-FORMAT = 1
+FORMAT, WITH_VARIANTS = 1, 2
+"""Of `course.json`: versions that know no variants must not teach the learner without."""
+
 COURSE, START, SAVES, POLICY = "course.json", "start", "saves", "policy"
+
+VARIANTS = (*SCALES, "sparsify")
+"""What a learner may be given beside its settings, which are numbers."""
 
 DICTIONARY = 1024
 """Points for which there is room, from the start: compiling for a larger one while a person teaches made steps wait for
@@ -50,27 +58,31 @@ class Course:
     """By name, those that were given: of the learner, and of credit (`gpcjax.lateness.CREDIT`)."""
     seed: int = 0
     """Of the starts, which are those of a sweep with this seed, and of what the learner draws."""
+    variants: tuple[tuple[str, Any], ...] = ()
+    """By name, those of `VARIANTS` that were given."""
 
     @classmethod
     def of(cls, given: dict[str, Given | Unchecked], seed: int = 0) -> "Course":
         """Of checked settings, as a sweep takes them, with one value each.
 
         Raises:
-            UserError: a setting has several values, or does not fit.
+            UserError: a setting has several values, does not fit, or is none of a lesson.
         """
         if "algo" not in given and "env" in given:
             given = given | {"algo": Given((usual_learner(given["env"].value),), "--algo")}
-        for setting in given.values():
-            if isinstance(setting.value, tuple) and len(setting.value) > 1:
+        for name, setting in given.items():
+            if isinstance(setting.value, tuple) and len(setting.value) > 1 and name not in SCALES:
                 raise UserError(f"{setting.source}: one person teaches one learner at a time, give one value")
+        _check_known(given)
         spec = make_spec(given | {"teacher": Given("person", "teacher")}, live=True)
         for name, values in spec.hyperparameters.items():
             if len(values) > 1:
                 raise UserError(
                     f"{given[name].source}: one person teaches one learner at a time, give one value"
                 )
-        numbers = ((name, values[0]) for name, values in spec.hyperparameters.items())
-        return cls(spec.env, spec.algo[0], tuple(numbers), seed)
+        numbers = tuple((name, values[0]) for name, values in spec.hyperparameters.items())
+        variants = tuple((name, getattr(spec, name)) for name in VARIANTS if name in given)
+        return cls(spec.env, spec.algo[0], numbers, seed, variants)
 
     def spec(self, episodes: int) -> SweepSpec:
         """The sweep whose rows those of this course are."""
@@ -83,6 +95,7 @@ class Course:
         }
         if find("learner", self.algo).dictionary:
             settings |= {"on_full": "replace-nearest", "max_capacity": DICTIONARY}
+        settings |= dict(self.variants)
         numbers = {name: (value,) for name, value in self.settings}
         given = {name: Given(value, name) for name, value in (settings | numbers).items()}
         known: dict[str, Given | Unchecked] = {
@@ -99,9 +112,12 @@ class Course:
     def write(self, folder: Path) -> None:
         """Says in the folder what is taught there. Raises OSError."""
         content = {
-            "format": FORMAT,
-            **dataclasses.asdict(self),
+            "format": WITH_VARIANTS if self.variants else FORMAT,
+            "env": self.env,
+            "algo": self.algo,
             "settings": dict(self.settings),
+            "seed": self.seed,
+            **({"variants": dict(self.variants)} if self.variants else {}),
             "begun": datetime.now(UTC).isoformat(timespec="seconds"),
             "versions": versions(),
         }
@@ -125,16 +141,39 @@ class Course:
             content = None
         match content:
             case {
-                "format": 1,
+                "format": 1 | 2,
                 "env": str(env),
                 "algo": str(algo),
                 "settings": dict(settings),
                 "seed": int(seed),
             } if type(seed) is int and seed >= 0:  # true is an int to Python
-                course = cls(env, algo, tuple(settings.items()), seed)
-                course.spec(1)  # refuses what does not fit
-                return course
+                variants = content.get("variants", {})
+                if isinstance(variants, dict) and variants.keys() <= set(VARIANTS):
+                    course = cls(env, algo, tuple(settings.items()), seed, _as_given(variants))
+                    course.spec(1)  # refuses what does not fit
+                    return course
         raise UserError(f"{path}: it is damaged, or of another version")
+
+
+def _check_known(given: Mapping[str, Given | Unchecked]) -> None:
+    """Raises UserError: there is something that a lesson has not, though a sweep may. Others' settings pass."""
+    if "algo" not in given:
+        return
+    learner = find("learner", given["algo"].value[0])
+    known = [each.name for each in (*learner.settings, *OF_CREDIT)]
+    known += [name for name in VARIANTS if name in learner.options]
+    passing = {"env", "algo", *known, *VARIANTS, *(each.name for each in TUNING)}
+    for name, setting in given.items():
+        if name not in passing:
+            raise UserError(
+                f"{setting.source}: what a person teaches has no such setting{suggestion(name, known)}, give "
+                f"{', '.join(known)}"
+            )
+
+
+def _as_given(variants: dict[str, Any]) -> tuple[tuple[str, Any], ...]:
+    """Variants as `Course` has them, of what JSON makes of them. Raises UserError: one is no such value."""
+    return tuple((name, accept(OPTIONS[name], value, name)) for name, value in variants.items())
 
 
 def seconds_of(task: TaskSpec) -> float:

@@ -217,7 +217,7 @@ class Lesson:
 
 
 def _course_with(course: Course, name: str, settings: dict[str, float]) -> Course:
-    """The same task for another learner, with these settings of it.
+    """The same task for another learner, with these settings of it; the same one keeps those that no page shows.
 
     Raises:
         UserError: there is no such learner, or it has no such settings.
@@ -229,5 +229,13 @@ def _course_with(course: Course, name: str, settings: dict[str, float]) -> Cours
             raise UserError(f"{each} is no setting of {name}")
         number = int(value) if known[each].kind is int and float(value).is_integer() else value
         given[each] = Given(accept(option_of(known[each]), number, each), each)
-    given |= {each: Given((value,), each) for each, value in course.settings if each in CREDIT}
+    from gpcjax.teach.telling import described_learner
+
+    is_same, task = name == course.algo, find("task", course.env)
+    shown = {each["name"] for each in described_learner(name, task, dict(course.settings))["settings"]}
+    for each, value in course.settings:
+        if each in CREDIT or (is_same and each not in shown | given.keys()):
+            given[each] = Given((value,), each)
+    if is_same:
+        given |= {each: Given(value, each) for each, value in course.variants}
     return Course.of(given, course.seed)

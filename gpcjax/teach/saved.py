@@ -4,28 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from gpcjax.describe import LearnerSpec
 from gpcjax.errors import UserError
-from gpcjax.lateness import CREDIT
 from gpcjax.registry import find
 from gpcjax.sweep.sources import RELATIVES, contents_of
 from gpcjax.teach.course import COURSE, SAVES, Course
-
-_FIELDS = {
-    "policy_variance": "policy.kernel.variance",
-    "policy_length_scale": "policy.kernel.length_scale",
-    "human_variance": "human.kernel.variance",
-    "human_length_scale": "human.kernel.length_scale",
-    "noise": "policy.noise",
-    "human_noise": "human.noise",
-    "coach_constant": "constant",
-}
-"""Where a built-in learner has a setting, if not in a field of its name."""
-
-_NOISE = 1e-7
-"""`gpcjax.learners.factory.DEFAULT_NOISE`, which would load jax."""
+from gpcjax.teach.made_with import made_with, table
 
 
 class Saved(NamedTuple):
@@ -36,8 +19,9 @@ class Saved(NamedTuple):
     """What it learned, if it says so."""
     algo: str
     """Who is to go on; what was saved may be of a relative."""
-    settings: Mapping[str, float]
-    """Those that this learner has not anyway."""
+    settings: Mapping[str, Any] | None
+    """Those that this learner has not anyway (`gpcjax.teach.made_with`); None where they do not count, as another
+    learner is to go on, or on another task."""
 
 
 def of_saved(folder: Path, algo: str | None, env: str | None) -> Saved:
@@ -50,8 +34,8 @@ def of_saved(folder: Path, algo: str | None, env: str | None) -> Saved:
             saved, but its own.
 
     Raises:
-        UserError: it is no such folder, or damaged, or means nothing to this learner, or has a setting of each action
-            dimension, which no lesson has.
+        UserError: it is no such folder, or damaged, or means nothing to this learner, or has a setting that no lesson
+            has.
     """
     place = f"--from {folder}"
     contents = contents_of(folder, "--from")
@@ -65,9 +49,10 @@ def of_saved(folder: Path, algo: str | None, env: str | None) -> Saved:
     learned = _env_of(folder, card)
     alike = algo in (None, held) and (env is None or learned in (None, env))
     taught = env if env is not None else learned
-    settings = {}
+    settings = None
     if alike and taught is not None:
-        settings = _settings(place, find("learner", held), taught, card, contents.arrays(state, "--from"))
+        arrays, credit = contents.arrays(state, "--from"), table(card, "provenance", "session", "settings")
+        settings = made_with(place, find("learner", held), taught, card, arrays, credit)
     return Saved(folder, learned, algo or held, settings)
 
 
@@ -81,38 +66,3 @@ def _env_of(folder: Path, card: Mapping[str, Any]) -> str | None:
     if lesson.name == SAVES and (lesson.parent / COURSE).is_file():
         return Course.read(lesson.parent).env
     return None
-
-
-def _settings(
-    place: str, spec: LearnerSpec, env: str, card: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-) -> dict[str, float]:
-    """The settings of a learner that are others than those it has on this task."""
-    usual = {"noise": _NOISE, **spec.defaults, **find("task", env).presets.get(spec.name, {})}
-    usual["human_noise"] = arrays.get("learner.policy.noise")
-    if "learner.static_rate" in arrays:
-        usual["constant_rate"] = arrays.get("learner.constant_rate")  # beside it, that one changes nothing
-    made = {**card, **_table(card, "recipe", "settings"), **_table(card, "provenance", "session", "settings")}
-    settings: dict[str, float] = {}
-    kinds = {each.name: each.kind for each in spec.settings} | dict.fromkeys(CREDIT, float)
-    for name, kind in kinds.items():
-        value = arrays.get(f"learner.{_FIELDS.get(name, name)}", made.get(name))
-        if value is None or not np.issubdtype(np.asarray(value).dtype, np.number):
-            continue
-        if usual.get(name) is not None and np.all(np.equal(value, usual[name])):
-            continue
-        values = np.unique(value)
-        if len(values) != 1:
-            raise UserError(
-                f"{place}: its {name} is another one in each action dimension, and a lesson has one for all: give "
-                "another folder"
-            )
-        settings[name] = kind(values[0])
-    return settings
-
-
-def _table(card: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
-    """A table within a table of a card; nothing where there is none."""
-    found: Any = card
-    for name in names:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return found if isinstance(found, Mapping) else {}

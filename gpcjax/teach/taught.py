@@ -4,6 +4,7 @@ Over 300 lines: what happens live and what is made again count alike, and are re
 """
 
 import contextlib
+import math
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +22,7 @@ from gpcjax.lateness import CREDIT
 from gpcjax.learners.base import Info
 from gpcjax.learners.recipes import check_recipe
 from gpcjax.policies.folder import write_folder
+from gpcjax.policies.vectors import near
 from gpcjax.recording import Recording
 from gpcjax.registry import built_in, find
 from gpcjax.sweep.build import pack_learned, recipe_of
@@ -185,10 +187,10 @@ class Taught:
         if not self.behind:
             try:
                 moved = self.world.step(self.session.action)
+                self.moved(moved)
             except UserError:
                 self.broken = True
                 raise
-            self.moved(moved)
             self._moved = moved
         return self.catch_up()
 
@@ -217,8 +219,17 @@ class Taught:
         return None
 
     def moved(self, moved: Moved) -> None:
-        """Counts a step of the task: the first part of `step`."""
-        self.present.total += moved.reward
+        """Counts a step of the task: the first part of `step`.
+
+        Raises:
+            UserError: its reward leads beyond all numbers: of no return that could be written down.
+        """
+        total = self.present.total + moved.reward
+        if not math.isfinite(total):
+            raise UserError(
+                f"a step of the task gave the reward {moved.reward}, with which those of the episode add up to {total}"
+            )
+        self.present.total = total
         self.present.length += 1
 
     def proposed(self) -> None:
@@ -340,8 +351,8 @@ class Taught:
             obs = moved.obs
             self.present.total += moved.reward
             self.present.length += 1
-        if obs.tolist() != recorded:
-            raise UserError(f"{place}: the task was at {recorded}, here it is at {obs.tolist()}")
+        if (here := near(obs).tolist()) != recorded:  # as `Session.propose` has it recorded
+            raise UserError(f"{place}: the task was at {recorded}, here it is at {here}")
 
     def _compare(self, values: Mapping[str, Any]) -> None:
         """That an episode came to what was written down of it."""

@@ -22,6 +22,7 @@ from gpcjax.teach.standing import Options, Say, Standing
 from gpcjax.teach.taught import Advised, Taught
 from gpcjax.teach.telling import (
     advised_of,
+    axes_of,
     bounds,
     described_learner,
     described_task,
@@ -64,8 +65,7 @@ class Teller:
         self._prior = prior if prior > 0 else None
         self._lines: dict[str, float | None] | None = None
         self._painted, self._pictures = 0.0, self.task.view.scene == ""
-        size = session.learner.obs_size
-        self._axes = self.task.view.axes if max(self.task.view.axes) < size else (0, min(1, size - 1))
+        self._axes = axes_of(self.task, session.learner.obs_size)
         self._chart = (*self._axes, 0)
         self._quick, self._painter, self._papers = (Errands(self._failed) for _ in range(3))
         self._clerk: Clerk | None = None

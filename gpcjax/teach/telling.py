@@ -20,7 +20,16 @@ from gpcjax.teach.protocol import Press
 from gpcjax.teach.tally import Episode, Tally
 from gpcjax.teach.world import makes_pictures
 
-__all__ = ["advised_of", "bounds", "described_learner", "described_task", "episode_of", "finite", "packed"]
+__all__ = [
+    "advised_of",
+    "axes_of",
+    "bounds",
+    "described_learner",
+    "described_task",
+    "episode_of",
+    "finite",
+    "packed",
+]
 
 _KEYS = (("left", "right"), ("down", "up"))
 """Of less and more, for the first and the second dimension of an action of which nothing else is known."""
@@ -28,7 +37,15 @@ _KEYS = (("left", "right"), ("down", "up"))
 PICTURE_WIDTH = 600
 """Pixels at most; WebP of that takes 5 ms."""
 
-MAIN = ("policy_length_scale", "human_length_scale", "constant_rate", "magnitude", "learning_rate", "beta")
+MAIN = (
+    "policy_length_scale",
+    "human_length_scale",
+    "static_rate",
+    "constant_rate",
+    "magnitude",
+    "learning_rate",
+    "beta",
+)
 """Settings that the page offers first."""
 
 
@@ -90,10 +107,19 @@ def bounds(task: TaskSpec, size: int, tally: Tally) -> Float[np.ndarray, "obs 2"
     return np.stack([-reach, reach], axis=-1)
 
 
+def axes_of(task: TaskSpec, size: int) -> tuple[int, int]:
+    """The two of these many numbers of an observation over which the policy is drawn first; a single one is both."""
+    x, y = (min(int(axis), size - 1) for axis in task.view.axes)
+    return x, y
+
+
 def described_learner(name: str, task: TaskSpec, given: Mapping[str, float]) -> dict[str, Any]:
     """Of a learner on a task, with its few main settings: those that were given, else the task's or its own."""
     spec: LearnerSpec = find("learner", name)
-    values = {**spec.defaults, **task.presets.get(name, {}), **given}
+    own = {each.name: each.default for each in spec.settings}
+    values = {**own, **spec.defaults, **task.presets.get(name, {}), **given}
+    if "static_rate" in given:  # beside which it changes nothing
+        values.pop("constant_rate", None)
     named = [setting for setting in spec.settings if isinstance(values.get(setting.name), int | float)]
     named.sort(key=lambda setting: MAIN.index(setting.name) if setting.name in MAIN else len(MAIN))
     return {

@@ -29,7 +29,7 @@ COACH = {"lower": (-1.0, -1.0), "upper": (1.0, 1.0), "counts": (3, 3)}
 def make(algo, **options):
     more = {"coach": COACH, "d-coach": {"width": 4, "batch_size": 2, "replay_every": 3}}
     small = {"policy_capacity": 4, "human_capacity": 4, "on_full": "replace-nearest", "constant_rate": 0.2}
-    return make_learner(algo, **SIZES, **(small if algo.startswith("gpc") else more[algo]), **options)
+    return make_learner(algo, **SIZES, **(small if algo.startswith("gpc") else more.get(algo, {})), **options)
 
 
 def rooms_for(algo):
@@ -146,6 +146,14 @@ def test_places(tmp_path):
     leave(school.sessions[0])
     school.join(2)
     assert (tmp_path / "2.jsonl").read_text().count("\n") == 1
+
+
+def test_a_learner_of_ones_own_with_numbers_of_pythons(tmp_path):
+    school = School(tmp_path, "tests.teach.drifting:Turned", PLAIN, places=3, count=2)
+    for _ in range(20):
+        school.step()
+    assert school.sessions[1].corrections > 0
+    assert_the_same(school.again(1), school.sessions[1])
 
 
 def test_an_action_that_is_no_number_stops_one_alone(tmp_path):

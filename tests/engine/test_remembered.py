@@ -1,14 +1,18 @@
 """What a policy remembers and what others change meanwhile, when `evaluate` has it traced."""
 
 import collections
+import contextvars
 import itertools
 import queue
+import sys
+import weakref
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gpcjax.engine import remembered
 from gpcjax.engine.evaluate import evaluate
 from gpcjax.engine.remembered import Remembered
 from gpcjax.engine.writes import Writes, writes
@@ -154,6 +158,169 @@ def test_memory_of_modules_and_classes(policy):
     np.testing.assert_allclose(got.returns, expected.returns)
     assert not any(isinstance(each, jax.core.Tracer) for each in left)
     jax.tree.map(np.testing.assert_array_equal, left, (helpers.last, helpers.asked, Filter.value))
+
+
+class Hidden:
+    """With a name that Python keeps with its class's."""
+
+    __slots__ = ("__last",)
+
+    def __init__(self):
+        self.__last = np.zeros(2)
+
+    def __call__(self, obs):
+        self.__last = 0.9 * self.__last + 0.1 * obs
+        return -self.__last
+
+
+class Kept:
+    last = np.zeros(2)
+
+
+def entries(*shape):
+    """An array of objects, one of which is a filter's last value."""
+    array = np.empty(shape, object)
+    array[(0,) * len(shape)] = np.zeros(2)
+    return array
+
+
+def in_an_array(*shape):
+    last = entries(*shape)
+
+    def policy(obs):
+        last[(0,) * len(shape)] = 0.9 * last[(0,) * len(shape)] + 0.1 * obs
+        return -last[(0,) * len(shape)]
+
+    return policy
+
+
+def in_a_context():
+    last = contextvars.ContextVar("last")
+
+    def policy(obs):
+        last.set(0.9 * last.get(np.zeros(2)) + 0.1 * obs)
+        return -last.get()
+
+    return policy
+
+
+HELD = [Kept()]
+
+
+def by_reference():
+    HELD[:] = [Kept()]
+    refer = weakref.ref(HELD[0])
+
+    def policy(obs):
+        refer().last = 0.9 * refer().last + 0.1 * obs
+        return -refer().last
+
+    return policy
+
+
+def by_proxy():
+    HELD[:] = [Kept()]
+    proxy = weakref.proxy(HELD[0])
+
+    def policy(obs):
+        proxy.last = 0.9 * proxy.last + 0.1 * obs
+        return -proxy.last
+
+    return policy
+
+
+def by_value():
+    HELD[:] = [Kept()]
+    table = weakref.WeakValueDictionary({"it": HELD[0]})
+
+    def policy(obs):
+        table["it"].last = 0.9 * table["it"].last + 0.1 * obs
+        return -table["it"].last
+
+    return policy
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        Hidden,
+        lambda: in_an_array(1),
+        lambda: in_an_array(2, 3),
+        in_a_context,
+        by_reference,
+        by_proxy,
+        by_value,
+    ],
+    ids=["a hidden slot", "objects", "rows of objects", "a context", "weakly", "by a proxy", "a weak table"],
+)
+def test_memory_that_is_hard_to_see(begin):
+    policy, filtered = begin(), begin()
+    expected = evaluate(Drift(), lambda obs: filtered(np.asarray(obs)), 2)
+    policy = begin()
+    np.testing.assert_allclose(evaluate(Drift(), policy, 2).returns, expected.returns)
+    assert not isinstance(policy(np.ones(2)), jax.core.Tracer)
+
+
+class Refusing:
+    """Nothing of it can be looked at."""
+
+    def __getattribute__(self, name):
+        raise RuntimeError(name)
+
+
+def test_what_refuses_to_be_looked_at_is_let_be():
+    """An object of that kind, and what stands for one that is gone, beside what is remembered."""
+    gone, refusing, last = weakref.proxy(Kept()), Refusing(), [np.zeros(2)]
+
+    def policy(obs, beside=(gone, refusing)):
+        last[0] = 0.9 * last[0] + 0.1 * obs
+        return -last[0]
+
+    got = evaluate(Drift(), policy, 2)
+    assert isinstance(last[0], np.ndarray)
+    last[0] = np.zeros(2)
+    np.testing.assert_allclose(got.returns, evaluate(Drift(), lambda obs: policy(np.asarray(obs)), 2).returns)
+
+
+def test_memory_that_nobody_sees_is_told(monkeypatch):
+    """Where no module of a person's has it; called on the host from the first line on, it is not traced."""
+    monkeypatch.setattr(np, "last", np.zeros(2), raising=False)
+
+    def policy(obs):
+        np.last = 0.9 * np.last + 0.1 * obs
+        return -np.last
+
+    with pytest.raises(
+        ValueError, match=r"^the policy remembers something out of sight, which jax traced: make it"
+    ):
+        evaluate(Drift(), policy, 2)
+    with pytest.raises(ValueError, match=r"^the policy remembers something"):
+        evaluate(Drift(), lambda obs: np.last, 2)
+    np.last = np.zeros(2)
+    evaluate(Drift(), lambda obs: policy(np.asarray(obs)), 2)
+    assert isinstance(np.last, np.ndarray)
+
+
+def test_long_lists_of_numbers_cost_no_look_at_each(monkeypatch):
+    """They refer to nothing: how often Python calls something says that it passes them by."""
+    calls, numbers = [], [float(each) for each in range(100_000)]
+    table, more = dict(enumerate(numbers)), (*numbers,)
+
+    def policy(obs):
+        return obs * numbers[0] * table[0] * more[0]
+
+    sys.setprofile(lambda frame, event, argument: calls.append(event))
+    try:
+        seen = Remembered(policy)
+        seen.look_again()
+        assert not seen.is_changed and not seen.is_disturbed
+    finally:
+        sys.setprofile(None)
+    assert len(calls) < 5_000
+    numbers[-1] = 2.0
+    assert seen.is_disturbed
+    monkeypatch.setattr(remembered, "LARGEST", 1_000)
+    assert not Remembered(policy)._contents
 
 
 def test_memory_of_a_method():

@@ -233,7 +233,12 @@ def test_refused(found, message):
         ({"controls": (gpcjax.Control(("a", "l"), ("right", "r")),)}, "controls Control"),
         ({"scene": "cartpole"}, "scene 'cartpole': give none, or the one of its 2 numbers: cartpole [(]4"),
         ({"scene": "lander"}, "scene 'lander': give none"),
+        ({"scene": ["pendulum"]}, "scene ['[]+pendulum'[]]: give none"),
         ({"axes": (0, -1)}, "axes [(]0, -1[)]: give the places of two numbers"),
+        ({"axes": (0, True)}, "axes [(]0, True[)]: give the places of two numbers"),
+        ({"axes": (0, 2)}, "axes [(]0, 2[)]: give two of the 2 numbers of an observation, from 0"),
+        ({"axes": np.arange(1, 2)}, "axes array"),
+        ({"axes": (1, 1)}, "axes [(]1, 1[)]: give two of the 2 numbers of an observation, from 0"),
         ({"hint": 3}, "hint 3: give a sentence"),
     ],
 )
@@ -246,7 +251,7 @@ def test_a_view_that_does_not_fit_is_refused_once(view, message):
 def test_a_view_that_fits():
     view = gpcjax.View(
         (("place", -2, np.float32(2)), ("speed", -1, 1)), (gpcjax.Control(("left", "less"), ("right", "more")),),
-        "mountaincar", axes=(0, 7), hint="Go.",
+        "mountaincar", axes=(np.int64(1), np.int8(0)), hint="Go.",
     )  # fmt: skip
     assert OF(gpcjax.TaskSpec(name="it", make=Slide, view=view)).view == view
 

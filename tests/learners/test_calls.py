@@ -22,6 +22,7 @@ from gpcjax.learners import calls
 from gpcjax.learners.base import Status
 from gpcjax.learners.compiled import act
 from gpcjax.learners.factory import make_learner
+from gpcjax.policies import base
 from tests.trees import assert_same_bits
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -144,8 +145,11 @@ def test_what_is_given_away_is_refused_by_all_that_take_a_state(algo, tmp_path):
         lambda: gpcjax.save_learner(tmp_path / "learner", learner, given),
         lambda: gpcjax.save_policy(tmp_path / "policy", learner, given),
     ]
-    if algo == "gpc":
+    if algo == "own":
+        uses += [lambda: learner.controller(given)]
+    else:
         uses += [
+            lambda: learner.controller(given),
             lambda: learner.grow(given),
             lambda: learner.resize(given, 8, 8),
             lambda: learner.points(given),
@@ -155,6 +159,51 @@ def test_what_is_given_away_is_refused_by_all_that_take_a_state(algo, tmp_path):
         with pytest.raises(ValueError, match=r"^state: it was given away \(donate\), use the one that came"):
             use()
     assert learner.policy_of(state) and not list(tmp_path.iterdir())
+
+
+def test_other_ways_in_are_told_what_was_given_away():
+    """Within vmap, from `evaluate`, and of another kind of learner."""
+    learner = make_learner("gpc", obs_size=2, action_size=1, capacity=4)
+    coach = make_learner("d-coach", obs_size=2, action_size=1, width=2, buffer_size=2, batch_size=1)
+    given, kept = learner.init(), coach.init()
+    learner.correct(given, np.zeros(2), [0.0], [1], donate=True)
+    coach.correct(kept, np.zeros(2), [0.0], [1], donate=True)
+    env = gpcjax.make_env("mountaincar")
+    for use in (
+        lambda: jax.vmap(lambda obs: learner.act(given, obs))(jnp.zeros((2, 2))),
+        lambda: gpcjax.evaluate(env, lambda obs: learner.act(given, obs), 1),
+        lambda: coach.measure(kept),
+        lambda: coach.controller(kept),
+        lambda: coach.idle(kept, jax.random.key(0)),
+    ):
+        with pytest.raises(ValueError, match=r"^state: it was given away \(donate\), use the one that came"):
+            use()
+
+
+@pytest.mark.parametrize(
+    "says",
+    [RuntimeError("Array has been deleted with shape=float64[1]."), ValueError("INVALID_ARGUMENT: gone")],
+)
+def test_what_another_thread_gives_away_meanwhile_is_told_too(says, monkeypatch):
+    """Between the look at a state and the call with it, which jax then refuses in one of two ways."""
+    learner, env = make_learner("gpc", obs_size=2, action_size=1, capacity=4), gpcjax.make_env("mountaincar")
+    state = learner.init()
+    monkeypatch.setattr(act, "_programs", type(act._programs)())
+    learner.act(state, np.zeros(2))
+    (key,) = act._programs
+
+    def late(*_):
+        for leaf in jax.tree.leaves(state):
+            leaf.delete()
+        raise says
+
+    monkeypatch.setitem(act._programs, key, late)
+    with pytest.raises(ValueError, match=r"^state: it was given away"):
+        learner.act(state, np.zeros(2))
+    state, policy = learner.init(), lambda obs: learner.act(state, obs)
+    monkeypatch.setattr("gpcjax.engine.evaluate.program", lambda *_: late)
+    with pytest.raises(ValueError, match=r"^state: it was given away"):
+        gpcjax.evaluate(env, policy, 1)
 
 
 def test_an_array_that_is_there_twice_is_not_given_away():
@@ -235,6 +284,53 @@ def test_programs_of_functions_made_anew_do_not_pile_up(monkeypatch):
     with compilations() as after:
         learners[0].act(state, obs)
     assert not after
+    monkeypatch.setattr(base, "KEPT", 3)
+    monkeypatch.setattr(base, "_programs", type(act._programs)())
+    for learner in learners:
+        np.testing.assert_array_equal(learner.policy_of(state)(obs), learner.act(state, obs))
+    assert len(base._programs) == 3
+    np.testing.assert_array_equal(jax.jit(learner.policy_of(state))(obs), learner.act(state, obs))
+    assert len(base._programs) == 3
+
+
+def test_numbers_of_pythons_are_no_programs_of_their_own():
+    """In a field of a learner, and in a state, as a class written in a line has them."""
+
+    class Gaining(Linear):
+        gain: float = 0.1
+
+        def propose(self, state, obs):
+            return state["n"] * self.gain * (state["w"] @ obs)
+
+        def init(self, key=None):
+            return {"w": np.ones((self.action_size, self.obs_size)), "n": 1.0}
+
+        def learn(self, state, moment, advice, key):
+            return state, gpcjax.Info.of(rate=self.gain * jnp.abs(advice))
+
+    def taught(gain, n):
+        learner = Gaining(**SIZES, gain=gain)
+        state = {**learner.init(), "n": n}
+        return learner.act(state, np.ones(3)), learner.correct(state, np.ones(3), np.zeros(2), [1, 0])[1].rate
+
+    taught(0.1, 1.0)
+    with compilations() as after:
+        for gain, n in ((0.2, 1.0), (np.float64(0.1), 2.0), (np.array(0.05), 3.0)):
+            action, rate = taught(gain, n)
+            np.testing.assert_allclose(action, np.full(2, 3 * gain * n))
+            np.testing.assert_allclose(rate, [gain, 0.0])
+    assert not after
+
+
+def test_what_grows_wrongly_is_raised_where_somebody_waits_for_it():
+    class Failing(Linear):
+        def grow(self, state):
+            raise KeyError("no room")
+
+    learner = Failing(**SIZES)
+    thread = learner.warm_up(learner.init())
+    with pytest.raises(KeyError, match="no room"):
+        thread.join()
 
 
 def test_warming_up_learns_nothing_and_needs_no_room_to_grow():
@@ -350,6 +446,49 @@ def test_a_state_of_another_learner_is_refused(differs):
         lambda: gpcjax.Session(learner, state),
     ):
         with pytest.raises(ValueError, match=r"^state .*: give a state of this learner"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        np.ma.array(np.zeros(1), mask=[True]),
+        np.array(["a"]),
+        np.zeros(1, ">f8"),
+        np.array([None]),
+        np.zeros(1, "M8[s]"),
+    ],
+    ids=["masked", "text", "bytes in the other order", "objects", "times"],
+)
+def test_arrays_that_jax_does_not_know_are_refused(odd):
+    learner = counting()
+    learner.act({**learner.init(), "total": np.zeros(1)}, np.zeros(2))  # compiled: jax looks less closely now
+    state = {**learner.init(), "total": odd}
+    for call in (
+        lambda: learner.act(state, np.zeros(2)),
+        lambda: learner.correct(state, np.zeros(2), [0.0], [1]),
+        lambda: learner.policy_of(state),
+        lambda: gpcjax.Session(learner, state),
+    ):
+        with pytest.raises(ValueError, match=r"^state: it holds .* give an array of plain numbers$"):
+            call()
+
+
+def test_a_state_with_a_function_in_it_is_told():
+    class Netted(Linear):
+        def init(self, key=None):
+            return eqx.nn.MLP(self.obs_size, self.action_size, 2, 1, key=jax.random.key(0))
+
+    learner = Netted(**SIZES)
+    state = learner.init()
+    for call in (
+        lambda: learner.act(state, np.zeros(3)),
+        lambda: learner.policy_of(state),
+        lambda: gpcjax.Session(learner),
+    ):
+        with pytest.raises(
+            ValueError, match=r"^Netted.init does not fit \(its state.activation is a custom_jvp"
+        ):
             call()
 
 

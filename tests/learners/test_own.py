@@ -1,5 +1,6 @@
 """Learners, tasks and oracles of a person's own, made and called from Python."""
 
+import dataclasses
 import sys
 import types
 
@@ -81,6 +82,36 @@ def test_one_made_by_its_class_has_a_policy(kind):
     assert_same_bits(learner.policy_of(state)(OBS), action)
     session = gpcjax.Session(learner, state)
     np.testing.assert_array_equal(session.policy()(OBS), action)
+
+
+class Several(Units):
+    shapes: list = dataclasses.field(default_factory=lambda: [jnp.tanh, jnp.sin])
+    more: dict = dataclasses.field(default_factory=lambda: {"kind": "more", "by": 2})
+
+    def propose(self, state, obs):
+        return self.shapes[0](self.more["by"] * super().propose(state, obs))
+
+
+def test_several_functions_in_a_field_are_compiled_in(tmp_path):
+    learner, shapes = Several(**SIZES), [jnp.tanh, jnp.sin]
+    state, _ = learner.correct(learner.init(jax.random.key(0)), OBS, [0.0], [1])
+    assert_same_bits(learner.policy_of(state)(OBS), learner.act(state, OBS))
+    np.testing.assert_array_equal(gpcjax.Session(learner, state).policy()(OBS), learner.act(state, OBS))
+    gpcjax.save_learner(tmp_path / "saved", learner, state)
+    assert_same_bits(gpcjax.load_learner(tmp_path / "saved")[1], state)
+    changed = fixed(Several(**SIZES, shapes=shapes))
+    shapes.clear()
+    assert_same_bits(changed.act(state, OBS), learner.act(state, OBS))
+
+
+def test_a_function_beside_numbers_is_refused():
+    learner = Several(**SIZES, shapes=[jnp.tanh, 0.5])
+    state = learner.init(jax.random.key(0))
+    for use in (lambda: learner.policy_of(state), lambda: gpcjax.Session(learner)):
+        with pytest.raises(
+            ValueError, match=r"^Several.shapes\[0\] .*: there are numbers beside it, give it a"
+        ):
+            use()
 
 
 LEARNERS = {

@@ -1,11 +1,13 @@
 """What a learner of a person's own has learned, as arrays and the recipe that makes it again."""
 
 import dataclasses
+import enum
 import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -199,10 +201,132 @@ def test_the_public_functions_save_it_too(tmp_path):
     assert (again.units, again.share, float(again.gain)) == (3, 0.25, 0.5)
 
 
+class Roomy(Counting):
+    """Keeps where it was corrected, in as much room as it is given."""
+
+    where: object = None
+    gain: jax.Array = eqx.field(default=0.5, converter=jnp.asarray)
+
+    def init(self, key=None):
+        return {
+            "weights": jnp.zeros((self.action_size, self.obs_size)),
+            "n": 0,
+            "kept": jnp.zeros((4, self.obs_size)),
+        }
+
+    def learn(self, state, moment, advice, key):
+        change = self.gain.sum() * jnp.outer(advice, moment.obs)
+        kept = state["kept"].at[state["n"] % state["kept"].shape[0]].set(moment.obs)
+        new = {"weights": state["weights"] + change, "n": state["n"] + 1, "kept": kept}
+        return new, gpcjax.Info.of(rate=jnp.abs(change @ moment.obs))
+
+    def grow(self, state):
+        return {**state, "kept": jnp.concatenate([state["kept"], jnp.zeros_like(state["kept"])])}
+
+    def _like(self, state):
+        return {**self.init(), "kept": jnp.zeros(state["kept"].shape)}
+
+
+class Shade(enum.Enum):
+    DARK = 1
+    LIGHT = 2
+
+
+class Odd(Counting):
+    """Fields of kinds that have no form on a card, and settings whose class takes whole numbers alone."""
+
+    shade: Shade = Shade.DARK
+    layer: eqx.nn.Linear | None = None
+    key: Any = None
+    sharpness: float = 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"shade": Shade.LIGHT}, r"\(shade <Shade.LIGHT: 2> is <Shade.DARK: 1> as its class makes it\)$"),
+        (
+            {"layer": eqx.nn.Linear(2, 1, key=jax.random.key(0))},
+            r"\(learner.layer.weight is of shape \(1, 2\), and",
+        ),
+        ({"key": jax.random.key(3)}, r"its learner.key is no array of numbers \(of a random key"),
+        ({"sharpness": 2.5}, r"cannot be saved: .* \(sharpness 2.5: give a whole number"),
+    ],
+)
+def test_what_a_class_does_not_make_is_named(settings, message, tmp_path):
+    learner = Odd(obs_size=2, action_size=1, **settings)
+    with pytest.raises(UserError, match=message):
+        gpcjax.save_learner(tmp_path / "saved", learner, begun(learner, 0))
+    assert not list(tmp_path.iterdir())
+
+
+SINGLE, LARGE = np.float32(0.3), {"gain": [0.1, 0.2], "where": 0.5}
+ODD = {
+    "a state that has grown": ({}, lambda learner, state: learner.grow(learner.grow(state))),
+    "an untaught state with a number of Python's": ({}, lambda learner, state: learner.init()),
+    "numbers of half the digits": ({"gain": jnp.float32(0.3)}, lambda learner, state: state),
+    "one of numpy's": ({"gain": SINGLE}, lambda learner, state: {**state, "n": np.int32(3)}),
+    "a state of half the digits": ({}, lambda learner, state: {**state, "kept": np.ones((4, 2), np.float32)}),
+    "a field of another shape, one that is usually none": (LARGE, lambda learner, state: state),
+}
+
+
+QUICK = {"learner": tuple(ODD), "policy": tuple(ODD)[:1], "session": tuple(ODD)[1:2]}
+
+
+@pytest.mark.parametrize(
+    ("how", "odd"),
+    [
+        pytest.param(how, odd, marks=() if odd in quick else pytest.mark.slow)
+        for how, quick in QUICK.items()
+        for odd in ODD
+        if (how, odd) != ("session", "a state of half the digits")  # refused by `check_state`
+    ],
+)
+def test_whatever_is_saved_is_loaded(odd, how, tmp_path):
+    """Where a state has numbers of other types than its class gives, they are the same ones of these types."""
+    settings, change = ODD[odd]
+    learner = Roomy(obs_size=2, action_size=1, **settings)
+    state, _ = learner.correct(learner.init(), [0.2, 0.1], [0.0], [1])
+    state, path, obs = change(learner, state), tmp_path / "saved", [0.3, 0.01]
+    if how == "policy":
+        gpcjax.save_policy(path, learner, state)
+        assert_same_bits(gpcjax.load_policy(path)(obs), learner.policy_of(state)(obs))
+        return
+    if how == "session":
+        gpcjax.Session(learner, state).save(path)
+        again, same = gpcjax.load_learner(path)
+        gpcjax.Session.load(path)
+    else:
+        gpcjax.save_learner(path, learner, state)
+        again, same = gpcjax.load_learner(path)
+    for one, other in zip(jax.tree.leaves((again, same)), jax.tree.leaves((learner, state)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    types = [leaf.dtype for leaf in jax.tree.leaves(same)]
+    assert types == [leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(learner.init))]
+    assert again.where == learner.where
+
+
+def test_what_was_saved_with_other_types_opens_again():
+    """As 0.2.0 and before kept them: nobody had looked."""
+    learner = COUNTING.made()
+    state = {**begun(learner, 0), "count": np.int64(3)}
+    card, arrays = pack_own(COUNTING, learner, state)
+    again, same = unpack_learner(card, {**arrays, "learner.gain": np.asarray(0.25, np.float32)})
+    assert (same["count"].dtype, int(same["count"]), float(again.gain)) == (np.int32, 3, 0.25)
+    with pytest.raises(
+        UserError, match=r"^x: this learner is damaged \(state\['count'\] is not what the card"
+    ):
+        unpack_learner(card, {**arrays, "state['count']": np.asarray(2**40)}, "x")
+
+
 def test_what_cannot_be_saved_is_refused(tmp_path):
     odd = Wide(obs_size=2, action_size=1, activation=jnp.sin)
     within = type("Within", (Counting,), {"__qualname__": "made.<locals>.Within"})(obs_size=2, action_size=1)
-    usual = Counting(obs_size=2, action_size=1)
+    usual, several = (
+        Counting(obs_size=2, action_size=1),
+        Roomy(obs_size=2, action_size=1, where=["a"]),
+    )
     for learner, state, message in (
         (
             odd,
@@ -210,7 +334,15 @@ def test_what_cannot_be_saved_is_refused(tmp_path):
             r"cannot be saved: .* \(activation is another function than its class has: write a",
         ),
         (within, begun(within, 0), "its class is defined within a function"),
-        (usual, {**begun(usual, 0), "count": np.zeros(2)}, "cannot be saved: give a learner"),
+        (
+            usual,
+            {**begun(usual, 0), "count": np.zeros(2, np.int32)},
+            r"cannot be saved: give a learner .* \(state\['count'\] is of shape \(2,\), and of shape \(\) as ",
+        ),
+        (usual, {**begun(usual, 0), "count": np.int64(2**40)}, "holds numbers that int32 cannot hold"),
+        (usual, {**begun(usual, 0), "count": np.float64(0.5)}, "holds numbers that int32 cannot hold"),
+        (usual, {**begun(usual, 0), "more": np.zeros(2)}, r"more'\] is of shape \(2,\), and not there as "),
+        (several, begun(several, 0), r"\(where \['a'\] is None as its class makes it"),
         (usual, {"key": jax.random.key(0)}, r"cannot be kept, as its state\['key'\] is no array of numbers"),
     ):
         with pytest.raises(UserError, match=message):

@@ -48,6 +48,23 @@ def test_each_shipped_policy(name):
     assert_same_actions(policy, [scale * draw(size, seed) for seed, scale in enumerate(scales)])
 
 
+@pytest.mark.parametrize("nu", [0.5, pytest.param(2.5, marks=pytest.mark.slow)])
+def test_digits_go_with_the_distance_from_zero(nu):
+    """What docs/policies.md tells: of a number that is large in length-scales few are left for what is near."""
+    learner = gpcjax.make_learner(
+        "gpc", obs_size=2, action_size=1, capacity=4, policy={"nu": nu, "length_scale": 1.0}
+    )
+    for far in (1e2, 1e5, 1e9, 1e12):
+        state, points = learner.init(), [np.array([1.1 * far + step, 0.3 * step]) for step in range(3)]
+        for advice, point in zip((1, -1, 1), points, strict=True):
+            state, info = learner.correct(state, point, [0.0], [advice])
+            assert int(info.status) == 0
+        policy = learner.policy_of(state)
+        for point in (*points, points[0] + 0.3):
+            for one in (learner.act(state, point), policy(jnp.asarray(point))):
+                np.testing.assert_allclose(one, policy(point), rtol=0, atol=4 * np.finfo(float).eps * far)
+
+
 @pytest.mark.parametrize("plain", list(made()), ids=lambda plain: type(plain).__name__)
 def test_each_kind(plain):
     policy = Policy.of(plain)

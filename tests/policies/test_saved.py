@@ -1,7 +1,10 @@
 """Policies on disk: whole or absent, the same to the bit, and refused with a reason."""
 
 import json
+import logging
 import shutil
+import sys
+import threading
 
 import equinox as eqx
 import jax
@@ -111,6 +114,46 @@ class TestSaving:
         with pytest.raises(KeyboardInterrupt):
             gpcjax.save_policy(tmp_path / "policy", learner, state)
         assert not list(tmp_path.iterdir())
+
+    def test_threads_that_save_at_once_do_so_one_after_the_other(self, tmp_path, monkeypatch, caplog):
+        """What saves is of the whole process: its words are silenced for one, and heard again after the last.
+
+        Nobody else's are.
+        """
+        import orbax.checkpoint
+
+        learner, state = taught("coach")
+        before = logging.getLogger("absl").disabled, sys.unraisablehook
+        inside, met, raised = [], threading.Event(), []
+        saving = orbax.checkpoint.StandardCheckpointer.save
+
+        def save(checkpointer, *arguments):
+            inside.append(threading.current_thread())
+            if len(inside) > 1:
+                met.set()
+            logging.getLogger("absl").error("not heard")
+            logging.getLogger("robot").error("heard")
+            met.wait(0.2)  # gives the other one time to come where it should not
+            saving(checkpointer, *arguments)
+            inside.pop()
+
+        def run(name):
+            try:
+                gpcjax.save_learner(tmp_path / name, learner, state)
+            except Exception as error:
+                raised.append(error)
+
+        monkeypatch.setattr(orbax.checkpoint.StandardCheckpointer, "save", save)
+        threads = [threading.Thread(target=run, args=(name,), daemon=True) for name in "ab"]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(60)
+        assert not met.is_set() and not raised
+        assert (logging.getLogger("absl").disabled, sys.unraisablehook) == before
+        assert caplog.messages == ["heard"] * 2
+        for name in "ab":
+            assert_same_bits(gpcjax.load_learner(tmp_path / name)[1], state)
 
     def test_others_may_read_it(self, saved):
         assert saved.stat().st_mode & 0o777 == 0o755

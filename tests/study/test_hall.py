@@ -349,6 +349,20 @@ def test_the_process_that_writes_may_die(hall, tmp_path):
     page.gone()
 
 
+def test_a_run_whose_rewards_come_to_no_number_rests_alone(hall, tmp_path, monkeypatch):
+    odd, other = Page(hall, tmp_path / "odd").goes(), Page(hall, tmp_path / "other", seed=1).goes()
+    moved = Taught.moved
+
+    def comes_to_none(taught, told):
+        moved(taught, told._replace(reward=np.inf) if taught.folder.name == "odd" else told)
+
+    monkeypatch.setattr(Taught, "moved", comes_to_none)
+    assert "add up to inf" in odd.wait("problem")["text"]
+    steps = len(other.messages("frame"))
+    other.wait("frame", lambda frame: frame["n"] > steps + 3)
+    assert odd.seat.broken and other.seat.runs
+
+
 def test_garbage_and_a_page_that_fails_are_its_own_affair(hall, problems, tmp_path):
     other = Page(hall, tmp_path / "other").goes()
     page = Page(hall, tmp_path / "bad", seed=1).goes()

@@ -161,6 +161,20 @@ def test_a_deletion_that_was_killed_is_finished(register):
     assert list(again(register)) == [] and not any((register.out / PEOPLE).iterdir())
 
 
+def test_a_deletion_that_failed_is_finished_by_the_next_one(register, monkeypatch):
+    one = register.admit("a1")
+
+    def fails(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.rmtree", fails)
+        with pytest.raises(OSError, match="Permission denied"):
+            register.delete("a1")
+    assert register.get("a1") is one
+    assert str(one.folder) in register.delete("a1")[0] and not any((register.out / PEOPLE).iterdir())
+
+
 def test_what_cannot_be_written_has_not_happened(register, monkeypatch):
     one = register.admit("a1")
     while one.kept.step < len(one.steps) - 1:

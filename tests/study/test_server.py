@@ -609,6 +609,51 @@ def test_a_participant_is_deleted_while_it_runs(running):
     assert "nobody" in look.until("problem")["text"]
 
 
+def test_who_is_deleted_on_a_full_disk_is_gone(running, monkeypatch):
+    """Of whom no end can be written: page and seat go all the same, and nobody ticks for them."""
+    page = running.client()
+    page.to_first_run()
+
+    def full(participant):
+        raise OSError(28, "No space left on device")
+
+    look = running.looks()
+    with monkeypatch.context() as patch:
+        patch.setattr("gpcjax.study.participant.Participant.save", full)
+        look.says("delete", code="alpha")
+        assert "p0001" in look.until("deleted")["removed"][0]
+    assert page.closed()["type"] == "gone" and running.hall.seats == []
+    assert not any(running.out.glob("participants/p*"))
+
+
+def test_a_page_is_told_that_its_time_has_run_out(running, monkeypatch):
+    """Who comes in later ends those who are late: a page of theirs would go on, and its seat be taken."""
+    page = running.client()
+    page.to_first_run()
+    (one,) = running.register
+    one.end("expired")
+    assert page.until("ended")["state"] == "expired"
+    assert running.hall.seats == []
+
+
+def test_what_goes_wrong_with_one_is_nothing_to_others(running, monkeypatch):
+    page, other = running.client("alpha"), running.client("beta")
+    page.to_first_run()
+    other.to_first_run()
+    alpha, beta = running.register
+    tick = sitting.Sitting.tick
+
+    async def fails(one):
+        if one.participant is alpha:
+            raise RuntimeError("not this one")
+        return await tick(one)
+
+    monkeypatch.setattr(sitting.Sitting, "tick", fails)
+    beta.end("expired")
+    assert other.until("ended")["state"] == "expired"
+    assert "RuntimeError: not this one" in running.looks().until("people")["faults"]
+
+
 def test_a_page_goes_though_that_cannot_be_written(running, monkeypatch):
     page = running.client()
     page.to_first_run()

@@ -39,6 +39,18 @@ def test_arms_within_participants_share_the_letters(tmp_path):
     assert study.arm("late").cue and study.arm("late").delay == 0.1
 
 
+def test_a_learner_may_scale_and_do_without_sparsification(tmp_path):
+    plain = '[[learners]]\nname = "plain"\nalgo = "gpc"\nsparsify = false\nscaling = [1, 2, 3]\n[orders]'
+    _, study = study_with(
+        tmp_path, "[orders]", plain, TOML.replace('["pendulum", "cartpole"]', '["pendulum"]')
+    )
+    treatment = next(each for slot in study.slots for each in slot.treatments if each.learner == "plain")
+    course = study.course(treatment, "pendulum", 3)
+    assert dict(course.variants) == {"scaling": (1.0, 2.0, 3.0), "sparsify": False} and course.seed == 3
+    cell = course.cell(1)
+    assert (cell.scaling, cell.sparsify) == ((1.0, 2.0, 3.0), False)
+
+
 def test_arms_between_participants(tmp_path):
     arms = '[[arms]]\nname = "few"\nparticipants = 1\n[[arms]]\nname = "gpc"\nlearners = ["gpc"]\n'
     _, study = study_with(tmp_path, "[[learners]]", f"{arms}[[learners]]")

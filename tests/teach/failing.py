@@ -37,6 +37,15 @@ class Unseen(Odd):
         return self.advance(state, after.physics, jnp.where(wrong, jnp.inf, after.obs), reward=1.0)
 
 
+class Endless(Odd):
+    """From its fourth step on the rewards are numbers, and their sum is none."""
+
+    def step(self, state, action):
+        after = super().step(state, action)
+        large = after.physics[1] & (after.time > 3)
+        return self.advance(state, after.physics, after.obs, reward=jnp.where(large, 1e308, 1.0))
+
+
 class Broken(gymnasium.Env):
     """A simulation on the host whose fifth step fails, half done; its picture fails, too."""
 

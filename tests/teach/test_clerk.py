@@ -3,6 +3,8 @@
 import io
 import os
 import signal
+import threading
+import time
 
 import pytest
 
@@ -52,6 +54,29 @@ def test_what_cannot_go_there_is_written_here(clerk, tmp_path, monkeypatch):
     clerk.write(lost(tmp_path / "lost"))
     assert int((tmp_path / "lost").read_text()) == os.getpid()
     assert written(clerk, tmp_path / "after") == clerk._process.pid
+
+
+class Alone(Note):
+    """Notes whether it was written while another one was."""
+
+    under_way, together = 0, False
+
+    def write(self):
+        Alone.under_way += 1
+        Alone.together |= Alone.under_way > 1
+        time.sleep(0.02)
+        super().write()
+        Alone.under_way -= 1
+
+
+def test_what_is_written_here_is_written_one_after_the_other(clerk, tmp_path):
+    notes = [Alone(tmp_path / str(number), lambda: None) for number in range(4)]
+    threads = [threading.Thread(target=clerk.write, args=(note,)) for note in notes]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not Alone.together and len(list(tmp_path.iterdir())) == 4
 
 
 @pytest.mark.slow

@@ -9,12 +9,14 @@ from types import SimpleNamespace
 import pytest
 
 from gpcjax import cli
+from gpcjax.registry import find
 from gpcjax.teach.course import COURSE, Course
 from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.protocol import Command
 from gpcjax.teach.server import bound
 from gpcjax.teach.standing import Options, Standing
 from gpcjax.teach.teller import Teller
+from gpcjax.teach.telling import described_learner
 
 
 @pytest.fixture(autouse=True)
@@ -168,3 +170,39 @@ def test_a_page_has_no_module_loaded(here, monkeypatch):
     lesson._taught, lesson._teller = taught, Teller(taught, Standing(1.0), Options(), told.append)
     lesson._obey(Command("learner", {"name": "planted:Learner", "settings": {}}))
     assert [message["type"] for message in told] == ["problem"] and "planted" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("name", "sent", "settings", "variants"),
+    [
+        (
+            "gpc",
+            {"static_rate": 0.3},
+            {"static_rate": 0.3, "credit": 0.2, "noise": 1e-3},
+            {"sparsify": False},
+        ),
+        ("gpc", {}, {"credit": 0.2, "noise": 1e-3}, {"sparsify": False}),
+        ("gpc-ns", {"constant_rate": 0.3}, {"constant_rate": 0.3, "credit": 0.2}, {}),
+    ],
+)
+def test_begun_anew_the_same_learner_keeps_what_no_page_shows(
+    here, monkeypatch, name, sent, settings, variants
+):
+    """What the page shows and does not send is as usual again."""
+    course = Course(
+        "pendulum",
+        "gpc",
+        (("static_rate", 0.5), ("noise", 1e-3), ("credit", 0.2)),
+        variants=(("sparsify", False),),
+    )
+    lesson, begun = Lesson(here, None, None, Options(), print), []
+    lesson._taught, lesson._teller = SimpleNamespace(course=course), SimpleNamespace(learners=lambda: [name])
+    monkeypatch.setattr(Lesson, "_anew", lambda lesson, *given: begun.append(given))
+    lesson._obey(Command("learner", {"name": name, "settings": sent}))
+    ((made, origin),) = begun
+    assert (dict(made.settings), dict(made.variants), origin) == (settings, variants, None)
+
+
+def test_the_page_is_told_of_settings_of_a_learner_of_ones_own():
+    told = described_learner("tests.teach.drifting:Turned", find("task", "pendulum"), {})
+    assert [(each["name"], each["value"]) for each in told["settings"]] == [("reach", 1.0)]

@@ -12,6 +12,8 @@ from gpcjax.errors import UserError
 from gpcjax.learners.factory import make_learner
 from gpcjax.policies.folder import read_arrays, read_card, write_folder
 from gpcjax.registry import built_in
+from gpcjax.sweep.build import learner_of
+from gpcjax.sweep.kept import kept_rows
 from gpcjax.sweep.run import sweep
 from gpcjax.teach.course import COURSE, SAVES, START, Course
 from gpcjax.teach.origin import of_run
@@ -98,10 +100,89 @@ def test_it_must_be_clear_which(folder, words, line, capsys, monkeypatch, tmp_pa
     assert line in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("card", ["", "{}", '{"arrays": 3}', '{"arrays": {"learner.noise": ["f8", [9]]}}'])
+def test_a_damaged_state_of_a_run_is_told(folder, monkeypatch, card):
+    kept = kept_rows(folder, "state", {}).assign(card=card)
+    monkeypatch.setattr("gpcjax.teach.origin.kept_rows", lambda *given: kept)
+    with pytest.raises(UserError, match=r"--from .*: what gpc learned with seed 0 is damaged"):
+        of_run(folder, "gpc", 0, {"error": "0"})
+
+
 def test_what_means_nothing_to_the_learner_is_refused(folder, tmp_path):
     run = of_run(folder, "gpc", 0, {"error": "0"})
     with pytest.raises(UserError, match=r"--from .*2 numbers of an observation, the task has 3"):
         Taught.begin(tmp_path, Course("pendulum", "gpc"), run)
+
+
+def learned_by_cells(cell):
+    """What the learner of each cell learns of two keys."""
+    learner = learner_of(cell, 64)
+    state = learner.init()
+    for way in (1.0, -1.0):
+        state, _ = learner.correct(state, way * OBS, np.zeros(1), np.array([way]))
+    yield cell.episodes, 1.0, learner, state
+
+
+@pytest.mark.parametrize(
+    ("algo", "settings", "variants"),
+    [
+        (
+            "gpc",
+            {"policy_length_scale": 2.0, "constant_rate": 0.3, "credit": 0.2},
+            {"scaling": (1.0, 2.0), "human_scaling": (1.0, 1.0, 2.0), "sparsify": False},
+        ),
+        pytest.param(
+            "gpc-ns", {"static_rate": 0.3}, {"human_scaling": (1.0, 2.0, 1.0)}, marks=pytest.mark.slow
+        ),
+        ("d-coach", {"width": 8}, {"scaling": (1.0, 2.0)}),
+    ],
+)
+def test_a_run_goes_on_with_the_settings_of_it(algo, settings, variants, course_of, tmp_path):
+    given = {"env": "mountaincar", "algo": algo, "seeds": 1, "episodes": 2, **settings, **variants}
+    out = sweep(tmp_path / "out", executor=Learned("states", learned_by_cells), keep="states", **given)
+    course, run = course_of("--from", str(out))
+    assert (dict(course.settings), dict(course.variants)) == (settings, variants)
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(tmp_path / "lesson", course, run)
+    frame = gpcjax.load_states(out)
+    np.testing.assert_array_equal(
+        taught.session.act(2 * OBS), frame["learner"][0].act(frame["state"][0], 2 * OBS)
+    )
+    assert Course.read(tmp_path / "lesson") == course
+    taught.end("reset")
+    taught.keep()()
+    told = json.loads((tmp_path / "lesson" / "manifest.json").read_bytes())["specification"]
+    assert told["hyperparameters"] == {name: [value] for name, value in settings.items()}
+    assert {name: told.get(name) for name in variants} == {
+        name: value if isinstance(value, bool) else list(value) for name, value in variants.items()
+    }
+    # Another learner and another task have settings of their own.
+    if algo == "gpc":
+        assert not course_of("--from", str(out), "--algo", "gpc-ns")[0].settings
+        course = course_of("--from", str(out), "--policy-length-scale", "3")[0]
+        assert dict(course.settings) == {**settings, "policy_length_scale": 3.0}
+
+
+def test_settings_that_vary_are_those_of_the_run(course_of, tmp_path):
+    given = {"policy_length_scale": [0.4, 2.0], "credit": [0.0, 0.4]}
+    learn = Learned("states", learned_by_cells)
+    out = sweep(
+        tmp_path / "out",
+        executor=learn,
+        keep="states",
+        env="mountaincar",
+        algo="gpc",
+        seeds=1,
+        episodes=2,
+        **given,
+    )
+    where = ("--where", "policy_length_scale=2", "--where", "credit=0.4")
+    assert dict(course_of("--from", str(out), *where)[0].settings) == {
+        "policy_length_scale": 2.0,
+        "credit": 0.4,
+    }
+    where = ("--where", "policy_length_scale=0.4", "--where", "credit=0")
+    assert dict(course_of("--from", str(out), *where)[0].settings) == {"credit": 0.0}
 
 
 def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
@@ -119,6 +200,22 @@ def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
         tmp_path / "lesson", Course("mountaincar", names["algo"]), of_run(out, None, None, {})
     )
     np.testing.assert_allclose(taught.session.act(OBS), OBS @ [1.0, 2.0])
+
+
+@pytest.mark.parametrize("words", [(), ("--set", "reach=3")])
+def test_a_learner_of_ones_own_goes_on_with_the_room_that_it_had(course_of, tmp_path, words):
+    names = {"algo": "tests.teach.drifting:Growing", "oracle": "pump", "env": "mountaincar"}
+    out = sweep(
+        tmp_path / "out",
+        executor=Learned("states", learned_by_cells),
+        keep="states",
+        **names,
+        seeds=1,
+        episodes=3,
+    )
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(tmp_path / "lesson", *course_of("--from", str(out), *words))
+    assert taught.session.state["seen"].shape == (4, 2) and np.any(taught.session.state["weights"])
 
 
 # --- with a saved learner
@@ -171,12 +268,16 @@ def test_what_is_given_beside_counts(course_of, capsys):
     saved("kept", "gpc", "mountaincar", policy_length_scale=3.0, constant_rate=0.3)
     settings = course_of("--from", "kept", "--static-rate", "0.1", "--policy-length-scale", "2")[0].settings
     assert dict(settings) == {"policy_length_scale": 2.0, "static_rate": 0.1}
-    assert not course_of("--from", "kept", "--algo", "gpc-ns")[0].settings
     assert not capsys.readouterr().err
+    assert not course_of("--from", "kept", "--algo", "gpc-ns")[0].settings
+    assert capsys.readouterr().err == (
+        "gpcjax: --from kept: gpc-ns goes on with what another learner learned, with settings of its own\n"
+    )
     course, _ = course_of("--from", "kept", "--env", "tests.teach.drifting:Drift", "--algo", "gpc")
     assert not course.settings
     assert (
-        "what was learned on mountaincar is taught tests.teach.drifting:Drift now" in capsys.readouterr().err
+        "what was learned on mountaincar is taught tests.teach.drifting:Drift now, with the settings of gpc there"
+        in capsys.readouterr().err
     )
 
 
@@ -201,6 +302,102 @@ def test_its_settings_are_read_from_what_was_saved(algo, options, tmp_path):
     assert of_saved(tmp_path / "kept", None, None).settings == options
 
 
+@pytest.mark.parametrize(
+    ("algo", "options"),
+    [
+        ("gpc", {"scaling": (1.0, 1.0)}),
+        ("gpc", {"human_scaling": (1.0, 2.0, 3.0), "sparsify": False}),
+        ("gpc-ns", {"scaling": (1.0, 1.0)}),
+        pytest.param("gpc-ns", {"human_scaling": (1.0, 2.0, 3.0)}, marks=pytest.mark.slow),
+        ("d-coach", {"scaling": (2.0, 2.0)}),
+    ],
+)
+def test_what_is_no_number_is_taken_from_what_was_saved(algo, options, course_of, tmp_path):
+    learner, state = saved("kept", algo, "mountaincar", **options)
+    course, origin = course_of("--from", "kept")
+    assert (dict(course.settings), dict(course.variants)) == ({}, options)
+    (tmp_path / "lesson").mkdir()
+    taught = Taught.begin(tmp_path / "lesson", course, origin)
+    np.testing.assert_array_equal(taught.session.act(OBS), learner.act(state, OBS))
+    # Versions that know no variants refuse it, and damaged ones are told.
+    file = tmp_path / "lesson" / COURSE
+    content = json.loads(file.read_bytes())
+    assert content["format"] == 2
+    for wrong in ({"scaling": [1.0]}, {"sparsify": 3}, {"rate": 0.5}, []):
+        file.write_text(json.dumps({**content, "variants": wrong}))
+        with pytest.raises(UserError):
+            Course.read(tmp_path / "lesson")
+
+
+def test_what_no_setting_says_is_not_taught_as_something_else(course_of, tmp_path):
+    learner = make_learner("tests.teach.drifting:Turned", "mountaincar", way="back")
+    gpcjax.save_learner("kept", learner, learner.init(), env="mountaincar")
+    (tmp_path / "lesson").mkdir()
+    line = r"--from .*kept: its way is 'back', and no setting of a lesson says so \(it would be 'forth'\)"
+    for words in ((), ("--set", "reach=2")):
+        with pytest.raises(UserError, match=line):
+            Taught.begin(tmp_path / "lesson", *course_of("--from", "kept", *words))
+    learner = make_learner("tests.teach.drifting:Turned", "mountaincar", reach=3.0)
+    gpcjax.save_learner("other", learner, learner.init(), env="mountaincar")
+    course, origin = course_of("--from", "other")
+    assert dict(course.settings) == {"reach": 3.0}
+    assert float(Taught.begin(tmp_path / "lesson", course, origin).session.learner.reach) == 3.0
+
+
+@pytest.mark.parametrize("credit", ["[[0.1], [0.2, 1]]", "1" + "0" * 400])
+def test_a_setting_that_is_no_number_is_told_with_its_folder(credit, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    saved("kept", "gpc", "mountaincar")
+    card = read_card("kept", "learner")
+    card["provenance"]["session"] = {"settings": {"credit": json.loads(credit)}}
+    write_folder(tmp_path / "odd", card, read_arrays("kept", card, "learner"))
+    assert cli.main(["teach", "--from", "odd"]) == 2
+    said = capsys.readouterr().err
+    assert "--from odd: its credit" in said and "is no number" in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("damaged", [{"shapes": "x"}, {"recipe": {"settings": "gpc"}}])
+def test_a_damaged_card_of_a_learner_of_ones_own_is_told(damaged, tmp_path):
+    saved(tmp_path / "kept", "tests.teach.drifting:Turned", "mountaincar")
+    card = read_card(tmp_path / "kept", "learner")
+    arrays = read_arrays(tmp_path / "kept", card, "learner")
+    told = {
+        name: {**card[name], **value} if isinstance(value, dict) else value for name, value in damaged.items()
+    }
+    write_folder(tmp_path / "odd", {**card, **told}, arrays)
+    with pytest.raises(UserError, match=r"odd/card\.json: this is not a learner's card"):
+        gpcjax.load_learner(tmp_path / "odd")
+
+
+def test_variants_are_given_by_flags(course_of):
+    words = ("--scaling", "1,2", "--human-scaling", "1,2,3", "--no-sparsify")
+    course, _ = course_of("--env", "mountaincar", *words)
+    assert dict(course.variants) == {
+        "scaling": (1.0, 2.0),
+        "human_scaling": (1.0, 2.0, 3.0),
+        "sparsify": False,
+    }
+    saved("kept", "gpc", "mountaincar", scaling=(3.0, 4.0), sparsify=False)
+    course, _ = course_of("--from", "kept", "--scaling", "1,2", "--sparsify")
+    assert dict(course.variants) == {"scaling": (1.0, 2.0), "sparsify": True}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            "rate=0.5",
+            "--set rate: what a person teaches has no such setting, give policy_length_scale, policy_v",
+        ),
+        ("beta=3", "--set beta: with gpc alone it changes nothing, give it with coach"),
+        ("nose=3", "--set nose: what a person teaches has no such setting (did you mean noise?), give"),
+    ],
+)
+def test_what_is_no_setting_of_a_lesson_is_refused(words, line, capsys):
+    assert cli.main(["teach", "--env", "mountaincar", "--set", words]) == 2
+    assert line in capsys.readouterr().err
+
+
 def test_a_setting_for_each_action_dimension_is_none_of_a_lesson(tmp_path):
     saved(tmp_path / "kept", "coach", "lunarlander", beta=(1.0, 2.0))
     with pytest.raises(UserError, match="its beta is another one in each action dimension"):
@@ -221,7 +418,7 @@ def test_another_learner_is_not_taught_under_its_name(words, line, capsys, monke
     said = capsys.readouterr().err
     assert line in said and said.count("\n") == 1
     (tmp_path / "out").mkdir()
-    with pytest.raises(UserError, match="it is of a COACH of another kind than the learner"):
+    with pytest.raises(UserError, match="it holds what coach learned, which means nothing to gpc"):
         Taught.begin(tmp_path / "out", Course("cartpole", "gpc"), tmp_path / "kept")
     assert not list((tmp_path / "out").iterdir())
 

@@ -77,6 +77,16 @@ def test_an_episode_that_was_ended_by_hand_has_a_status_of_its_own(lesson):
     assert gpcjax.load(lesson.folder)["status"].tolist() == ["ok", "cut"]
 
 
+def test_a_task_that_leads_far_away_is_made_again(tmp_path):
+    """Policies take what is beyond 1e60 for that, and so it is recorded."""
+    taught = Taught.begin(tmp_path, course(env="tests.teach.drifting:Far"))
+    for _ in range(4):
+        taught.step()
+    assert np.abs(taught.session.obs).max() == 1e60
+    for whole in (True, False):
+        assert_same(Taught.resume(tmp_path, nothing, whole=whole), taught)
+
+
 def test_rows_are_a_sweeps(lesson):
     rows = gpcjax.load(lesson.folder)
     done = lesson.tally.finished
@@ -474,6 +484,7 @@ class TestFailing:
         [
             ("Odd", "reward nan, its reward must be a finite number"),
             ("Unseen", "each entry must be finite"),
+            ("Endless", "the reward 1e[+]308, with which those of the episode add up to inf"),
             ("Broken", "its step fails .RuntimeError: a wheel came off"),
         ],
     )
