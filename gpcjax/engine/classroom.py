@@ -25,6 +25,7 @@ from gpcjax.engine.pool import Tier
 from gpcjax.engine.pupil import Pupil
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Learner, State
+from gpcjax.learners.recipes import in_arrays
 
 ROOMS = ((64, 64), (128, 256), (256, 512), (1024, 1024))
 """Points of each policy and each human model, as dictionaries grow. Human models only append and outgrow policies.
@@ -60,11 +61,6 @@ def lanes_for(places: int) -> int:
 def _programs(tier: Tier, kind: "_Kind") -> Programs:
     """Those of all benches of one kind: a classroom for one pupil comes and goes with each recording."""
     return Programs(tier, *kind.given)
-
-
-def _in_arrays(learner: Learner) -> Learner:
-    """The same learner: one of a person's own may have numbers of Python's, which no block has lanes of."""
-    return jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
 
 
 class _Kind:
@@ -104,7 +100,7 @@ class Classroom:
         self.rooms = [list(room) for room in rooms]
         """As a recording names them."""
         self.places = places
-        learner = _in_arrays(learner)
+        learner = in_arrays(learner)  # no block has lanes of numbers of Python's
         self._learner, self._credit = learner, credit
         tiers = [Tier(*room, self._width(room)) for room in rooms or [(1, 1)]]
         self._programs = [_programs(tier, _Kind(learner, credit)) for tier in tiers]
@@ -127,7 +123,7 @@ class Classroom:
         Raises:
             UserError: there is none.
         """
-        learner = _in_arrays(learner)
+        learner = in_arrays(learner)  # no block has lanes of numbers of Python's
         if state is None:
             state = learner.init(streams.first_key(seed))
         return self._place(Pupil(self, learner, seed, credit), state)

@@ -9,7 +9,6 @@ no new one.
 """
 
 import hashlib
-import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
@@ -20,11 +19,12 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal, Var, jaxpr_as_fun
 
+from gpcjax.recent import recent
+
 KEPT = 16
 """Compiled programs that are kept, those asked for last. One takes a few megabytes."""
 
 _programs: OrderedDict[str, Callable[..., list[jax.Array]]] = OrderedDict()
-_lock = threading.Lock()
 
 
 def program(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
@@ -85,14 +85,4 @@ def _compiled(flat: Callable[..., Any], *arguments: Any) -> Callable[..., list[j
     ):  # the text names a function of the host by a number that another one may have later
         return lowered.compile()
     key = hashlib.sha256(text.encode()).hexdigest()
-    with _lock:
-        found = _programs.get(key)
-        if found is not None:
-            _programs.move_to_end(key)
-            return found
-    found = lowered.compile()
-    with _lock:
-        _programs[key] = found
-        while len(_programs) > KEPT:
-            _programs.popitem(last=False)
-    return found
+    return recent(_programs, key, lowered.compile, KEPT)

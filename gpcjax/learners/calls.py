@@ -23,7 +23,8 @@ from gpcjax.recent import recent
 
 Function = Callable[..., Any]
 
-_NUMBERS = bool | int | float | complex | np.number | np.bool_
+NUMBERS = bool | int | float | complex | np.number | np.bool_
+"""Types of numbers that are no arrays."""
 
 KEPT = 64
 """Programs of one function that are kept, those called last: kinds of learners, with rooms of their states. A learner
@@ -168,7 +169,7 @@ def _flat(state: Any) -> tuple[list[Any], Any, bool]:
     leaves, form = jax.tree.flatten(state)
     are_arrays = _are_arrays(leaves)
     if not are_arrays:  # as `init` may give them
-        leaves = [np.asarray(leaf) if isinstance(leaf, _NUMBERS) else leaf for leaf in leaves]
+        leaves = [np.asarray(leaf) if isinstance(leaf, NUMBERS) else leaf for leaf in leaves]
         are_arrays = _are_arrays(leaves)
     # Of our own classes, which never change. What is kept of a state goes with it.
     if are_arrays and isinstance(state, eqx.Module) and type(state).__module__.startswith("gpcjax."):

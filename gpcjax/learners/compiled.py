@@ -14,7 +14,7 @@ from gpcjax._x64 import seeded_key
 from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
-from gpcjax.learners.calls import Called, check_arrays, check_kept
+from gpcjax.learners.calls import NUMBERS, Called, check_arrays, check_kept
 from gpcjax.learners.forms import check, does_not_fit, worded
 from gpcjax.learners.info import Info
 from gpcjax.moment import Moment
@@ -116,7 +116,7 @@ def _first_form(learner: Learner) -> State:
 def check_fields(learner: Learner) -> None:
     """Refuses a learner whose numbers cannot be traced: functions or texts are in one field with some of them."""
     for path, leaf in jax.tree.leaves_with_path(fixed(learner)):
-        if not isinstance(leaf, bool | int | float | complex | np.number | np.bool_ | np.ndarray | jax.Array):
+        if not isinstance(leaf, NUMBERS | np.ndarray | jax.Array):
             name = f"{type(learner).__name__}{jax.tree_util.keystr(path)}"
             raise UserError(f"{name} {shown(leaf)}: there are numbers beside it, give it a field of its own")
 

@@ -6,8 +6,6 @@ is a controller, which a lane has: see `gpcjax.policies.saved.pack_controller`. 
 `gpcjax.learners.recipes`.
 """
 
-import functools
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,20 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from gpcjax._x64 import under_own_settings
-from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
+from gpcjax.allowed import shown
 from gpcjax.errors import UserError
 from gpcjax.fixed import fixed
-from gpcjax.gp.posterior import Posterior
-from gpcjax.gp.process import GaussianProcess
-from gpcjax.gp.renormalised import Renormalised
 from gpcjax.learners.base import Learner, State
 from gpcjax.learners.calls import check_kept
+from gpcjax.learners.cards import checked_settings, settings_of, shapes_of_state, template_with
 from gpcjax.learners.coach import COACH
 from gpcjax.learners.compiled import check_fields
 from gpcjax.learners.dcoach import DCoach
-from gpcjax.learners.descriptions import CAPACITY, D_COACH, ON_FULL
-from gpcjax.learners.factory import ALLOWED, make_learner
-from gpcjax.learners.gpc import GPC, GPCState
+from gpcjax.learners.gpc import GPC
 from gpcjax.learners.recipes import (
     RECIPE,
     check_plain,
@@ -43,12 +37,6 @@ from gpcjax.learners.recipes import (
 )
 from gpcjax.policies.checkpoint import first_line
 from gpcjax.policies.folder import FORMAT
-
-_SIZES_OF_D_COACH = {each.name: each.allowed for each in D_COACH.settings if each.compiled == "value"}
-"""The settings of D-COACH that the shapes of its state, and how it learns, follow from; the others are arrays."""
-
-_SCALES = ("scaling", "human_scaling")
-"""What GPC and GPC-NS multiply inputs by: on a card, whether there are arrays of it beyond those that all have."""
 
 _BUILT_IN = (GPC, COACH, DCoach)
 
@@ -70,8 +58,8 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
     check_kept(state)
     if type(learner) not in _BUILT_IN:
         return _packed_own(fixed(learner), state)
-    settings = _settings(learner, state)
-    template = _template(settings)
+    settings = settings_of(learner, state)
+    template = template_with(settings)
     given, expected = leaves_of((learner, state)), leaves_of(template)
     same = jax.tree.structure((learner, state)) == jax.tree.structure(template)
     if not same or {name: _kind(leaf) for name, leaf in given.items()} != {
@@ -117,7 +105,7 @@ def compact(learner: Learner, state: State) -> State:
     if not isinstance(learner, GPC):
         return state
     used = (max(1, int(np.max(each.count))) for each in (state.policy, state.human))
-    shapes = _shapes_of_state(learner, dict(zip(("policy", "human"), used, strict=True)))
+    shapes = shapes_of_state(learner, dict(zip(("policy", "human"), used, strict=True)))
     return jax.tree.map(lambda leaf, least: np.asarray(leaf)[tuple(map(slice, least.shape))], state, shapes)
 
 
@@ -140,7 +128,7 @@ def template_of(card: Mapping[str, Any], source: Any) -> tuple[Learner, State]:
     try:
         if RECIPE in card:
             return template_of_own(card)
-        return _template(_checked_settings(card))
+        return template_with(checked_settings(card))
     except (UserError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{source}: this is not a learner's card ({first_line(error)})") from None
 
@@ -197,123 +185,6 @@ def checked_learner(learner: Any) -> Learner:
     if not isinstance(learner, Learner):
         raise UserError(f"learner {shown(learner)}: give a learner, from make_learner")
     return learner
-
-
-def _settings(learner: Learner, state: State) -> dict[str, Any]:
-    """What of a learner and its state is no array."""
-    sizes = {"obs_size": learner.obs_size, "action_size": learner.action_size}
-    if isinstance(learner, COACH):
-        return {"algo": "coach", **sizes, "counts": list(learner.grid.counts)}
-    if isinstance(learner, DCoach):
-        return {"algo": "d-coach", **sizes, **{name: getattr(learner, name) for name in _SIZES_OF_D_COACH}}
-    assert isinstance(learner, GPC)
-    try:
-        capacities = {
-            "policy": int(state.policy.points.shape[1]),
-            "human": int(state.human.points.shape[1]),
-        }
-    except (AttributeError, IndexError):
-        raise UserError(f"state {shown(state)}: give a state of this learner") from None
-    return {
-        "algo": "gpc-ns" if learner.policy.normalise else "gpc",
-        **sizes,
-        "policy_nu": learner.policy.kernel.smoothness,
-        "static": learner.static_rate is not None,
-        "sparsify": learner.sparsify,
-        "on_full": learner.on_full,
-        "policy_capacity": learner.policy_capacity,
-        "human_capacity": learner.human_capacity,
-        **{name: True for name in _SCALES if _is_given(learner, name)},
-        "capacities": capacities,
-    }
-
-
-def _is_given(learner: GPC, name: str) -> bool:
-    """Whether a learner has arrays of its own for a scaling, which most have not."""
-    model = learner.policy if name == "scaling" else learner.human
-    if isinstance(model, Renormalised):
-        return model.scaling is not None
-    return name == "human_scaling" and learner.human_scaling is not None
-
-
-def _checked_settings(card: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a card. Raises UserError or KeyError."""
-    sizes = {name: checked(name, card[name], int, COUNT) for name in ("obs_size", "action_size")}
-    algo = checked("algo", card["algo"], str, OneOf(("gpc", "gpc-ns", "coach", "d-coach")))
-    if algo == "d-coach":
-        whole = {name: checked(name, card[name], int, _SIZES_OF_D_COACH[name]) for name in _SIZES_OF_D_COACH}
-        return {"algo": algo, **sizes, **whole}
-    if algo == "coach":
-        counts = card["counts"]
-        if not isinstance(counts, list):
-            raise UserError(f"counts {shown(counts)}: give a list")
-        return {"algo": algo, **sizes, "counts": counts}
-    capacities = card["capacities"]
-    if not isinstance(capacities, dict):
-        raise UserError(f"capacities {shown(capacities)}: give those of policy and human")
-    return {
-        "algo": algo,
-        **sizes,
-        "policy_nu": checked("policy_nu", card["policy_nu"], float, ALLOWED["policy_nu"]),
-        "static": checked("static", card["static"], bool, SWITCH),
-        "sparsify": checked("sparsify", card["sparsify"], bool, SWITCH),
-        "on_full": checked("on_full", card["on_full"], str, OneOf(ON_FULL)),
-        **{name: checked(name, card[name], int, CAPACITY) for name in ("policy_capacity", "human_capacity")},
-        **{name: True for name in _SCALES if checked(name, card.get(name, False), bool, SWITCH)},
-        # It may have grown beyond what a new one begins with; the arrays must have this size.
-        "capacities": {
-            name: checked(f"capacity of {name}", capacities[name], int, COUNT) for name in ("policy", "human")
-        },
-    }
-
-
-def _template(settings: Mapping[str, Any]) -> tuple[Learner, State]:
-    """The shape of a learner and its state with these settings; nothing of its size is made."""
-    learner, state = _idle(json.dumps({name: settings[name] for name in settings if name != "capacities"}))
-    capacities = settings.get("capacities")
-    return learner, state if capacities is None else _shapes_of_state(learner, capacities)
-
-
-@functools.lru_cache(maxsize=256)
-def _idle(text: str) -> tuple[Learner, State]:
-    """The learner with these settings (JSON), and the shape of its first state. Raises UserError or TypeError."""
-    values = json.loads(text)
-    static = values.pop("static", False)
-    if static:
-        values["static_rate"] = 1.0
-    values |= {name: 1.0 for name in _SCALES if values.pop(name, False)}
-    if values["algo"] == "coach":
-        size = values["obs_size"]
-        values |= {"lower": -1.0, "upper": 1.0}
-        if size > len(values["counts"]):
-            raise UserError(f"{len(values['counts'])} counts for obs_size {size}")
-    learner = make_learner(**values)
-    return learner, jax.eval_shape(learner.init)
-
-
-def _shapes_of_state(learner: Learner, capacities: Mapping[str, int]) -> GPCState:
-    """The shape of a state with other room than `init` makes; it may be more or less."""
-    assert isinstance(learner, GPC)
-
-    def models(process: GaussianProcess, capacity: int, size: int) -> Posterior:
-        one = _shapes_of_model(jax.tree.structure(process), capacity, size)
-        form = lambda leaf: jax.ShapeDtypeStruct((learner.action_size, *leaf.shape), leaf.dtype)  # noqa: E731
-        return jax.tree.map(form, one)
-
-    return GPCState(
-        policy=models(learner.policy, capacities["policy"], learner.obs_size),
-        human=models(learner.human, capacities["human"], learner.obs_size + 1),
-    )
-
-
-@functools.lru_cache(maxsize=4096)
-def _shapes_of_model(process: Any, capacity: int, size: int) -> Posterior:
-    """The shape of the empty dictionary of a process of this structure.
-
-    What is kept has any number of points: each costs milliseconds once, and not for every pair of both models.
-    """
-    numbers = process.unflatten([jnp.zeros(())] * process.num_leaves)
-    return jax.eval_shape(lambda: numbers.init(capacity, jnp.ones(size)))
 
 
 def _kind(leaf: Any) -> tuple[tuple[int, ...], np.dtype]:

@@ -199,12 +199,17 @@ def shapes_of(tree: tuple[Learner, State]) -> dict[str, tuple[int, ...]]:
     return {name: np.shape(leaf) for name, leaf in leaves_of(tree).items()}
 
 
+def in_arrays(learner: Learner) -> Learner:
+    """The same learner, all of whose numbers are arrays: one of a person's own may have numbers of Python's."""
+    return jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
+
+
 def _shapes(learner: Learner, shapes: Mapping[str, tuple[int, ...]]) -> tuple[Learner, State]:
     """The learner itself, all of whose numbers are arrays, and the form of its first state.
 
     Where it is to have other `shapes` there are forms in place of its arrays.
     """
-    learner = jax.tree.map(lambda leaf: leaf if hasattr(leaf, "dtype") else np.asarray(leaf), learner)
+    learner = in_arrays(learner)
     leaves = leaves_of((learner, None))
     others = {
         name: jax.ShapeDtypeStruct(shapes[name], leaf.dtype)

@@ -252,12 +252,10 @@ def _keys(
     )
     columns = {name: _values(column, once) for name, column in settings.items()}
     varying = [name for name in columns if name not in ("algo", "oracle", "error")]
-    points = zip(*(columns[name] for name in varying), strict=True) if varying else [()] * len(once)
+    rows = zip(*(columns[name] for name in ("oracle", "error", "algo", *varying)), strict=True)
     keys = [
         _Key(str(oracle), float(error), str(algo), _point(varying, values))
-        for oracle, error, algo, values in zip(
-            columns["oracle"], columns["error"], columns["algo"], points, strict=True
-        )
+        for oracle, error, algo, *values in rows
     ]
 
     def place(index: int) -> tuple[Any, ...]:
@@ -265,9 +263,7 @@ def _keys(
         return _rank(key.oracle, oracles), key.error, _rank(key.algo, algorithms), key.point.values
 
     order = sorted(range(len(keys)), key=place)
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return [keys[index] for index in order], rank[number]
+    return [keys[index] for index in order], np.argsort(order)[number]
 
 
 def _group(key: _Key, lines: Lines) -> Group:

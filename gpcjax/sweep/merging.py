@@ -64,13 +64,13 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
         UserError: a shard is missing, not complete, damaged or being written; shards are not of the same sweep, number
             of shards or versions, or overlap; or `out` holds something else.
     """
-    each = list(_found(folders))
+    given = list(_found(folders))
     if out is None:
         wholes = [folder for folder in folders if (folder / SHARDS).is_dir()]
         if len(wholes) != 1:
             raise UserError("merge: --out is missing, give the run folder of the whole")
         out = wholes[0]
-    shares = _checked([_share(folder, manifest) for folder, manifest in each])
+    shares = _checked([_share(*each) for each in given])
     first = shares[0].manifest
     specs = [from_dict(request["specification"]) for request in requests(first)]
     names = tuple(first["varying"])
@@ -97,27 +97,25 @@ def merge(folders: Sequence[Path], out: Path | None = None) -> Path:
     return out
 
 
-def _found(folders: Iterable[Path]) -> Iterable[tuple[Path, dict[str, Any]]]:
-    """The run folders of shards that these are or hold."""
+def _found(folders: Iterable[Path]) -> Iterable[tuple[Path, Shard, dict[str, Any]]]:
+    """The run folders of shards that these are or hold, with what each says."""
     for folder in dict.fromkeys(folders):
+        paths = [folder]
         if (folder / SHARDS).is_dir():
-            inside = sorted(path for path in (folder / SHARDS).iterdir() if (path / MANIFEST).is_file())
-            if not inside:
+            paths = sorted(path for path in (folder / SHARDS).iterdir() if (path / MANIFEST).is_file())
+            if not paths:
                 raise UserError(f"{folder / SHARDS}: no shard is there, run one with --shard i/n")
-            yield from ((path, read_manifest(path)) for path in inside)
-            continue
-        manifest = read_manifest(folder)
-        if held_shard(manifest) is None:
-            raise UserError(f"{folder}: this is no shard of a sweep, give folders that --shard i/n has made")
-        yield folder, manifest
+        for path in paths:
+            manifest = read_manifest(path)
+            if (shard := held_shard(manifest)) is None:
+                raise UserError(
+                    f"{path}: this is no shard of a sweep, give folders that --shard i/n has made"
+                )
+            yield path, shard, manifest
 
 
-def _share(folder: Path, manifest: dict[str, Any]) -> _Share:
-    shard = held_shard(manifest)
-    if shard is None:
-        raise UserError(f"{folder}: this is no shard of a sweep, give folders that --shard i/n has made")
-    writer = holder(folder)
-    if writer is not None:
+def _share(folder: Path, shard: Shard, manifest: dict[str, Any]) -> _Share:
+    if (writer := holder(folder)) is not None:
         raise UserError(f"{folder}: shard {shard} is still being written ({writer}), wait until it ends")
     found = Found()
     parts = _keys(folder, manifest, found)
@@ -216,9 +214,8 @@ def _refuse_gaps(shares: Sequence[_Share], wanted: Keys) -> None:
     if sum(map(len, cells)) == len(wanted) and set().union(*cells) == wanted:
         return
     for share in shares[1:]:
-        if [*hashes(share.manifest)] != [
-            *hashes(shares[0].manifest)
-        ]:  # in another order they have other shares
+        # In another order they have other shares.
+        if list(hashes(share.manifest)) != list(hashes(shares[0].manifest)):
             raise UserError(_other_requests(shares[0], share))
     seen: Keys = set()
     for share in shares:
@@ -272,11 +269,10 @@ def _merged(shares: Sequence[_Share], before: Mapping[str, Any] | None, cells: i
     first, *further = kinds.values()
     if further:
         tell(f"its rows were made on {len(kinds)} kinds of machine: last bits may differ, see the manifest")
-    merged = {
-        name: value for name, value in manifests[0].items() if name not in ("shard", "further_machines")
-    }
+    left_out = ["shard", "further_machines"]
     if not all(ENTRY in one for one in every):
-        merged.pop(ENTRY, None)
+        left_out.append(ENTRY)
+    merged = {name: value for name, value in manifests[0].items() if name not in left_out}
     digests = {name: parts for one in every for name, parts in one.get(DIGESTS, {}).items()}
     merged |= {
         **({DIGESTS: digests} if digests else {}),
@@ -286,10 +282,8 @@ def _merged(shares: Sequence[_Share], before: Mapping[str, Any] | None, cells: i
         "cells": cells,
         "finished": cells,
         "complete": True,
-        "jobs": sum(each["jobs"] for each in manifests),
         "wall_time_s": max(each["wall_time_s"] for each in manifests),
-        "compile_time_s": sum(each["compile_time_s"] for each in manifests),
-        "env_steps": sum(each["env_steps"] for each in manifests),
+        **{name: sum(each[name] for each in manifests) for name in ("jobs", "compile_time_s", "env_steps")},
     }
     merged["env_steps_per_s"] = merged["env_steps"] / max(merged["wall_time_s"], 1e-9)
     return merged

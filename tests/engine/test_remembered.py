@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gpcjax.engine import remembered
+from gpcjax.engine import referred
 from gpcjax.engine.evaluate import evaluate
 from gpcjax.engine.remembered import Remembered
 from gpcjax.engine.writes import Writes, writes
@@ -319,7 +319,7 @@ def test_long_lists_of_numbers_cost_no_look_at_each(monkeypatch):
     assert len(calls) < 5_000
     numbers[-1] = 2.0
     assert seen.is_disturbed
-    monkeypatch.setattr(remembered, "LARGEST", 1_000)
+    monkeypatch.setattr(referred, "LARGEST", 1_000)
     assert not Remembered(policy)._contents
 
 
