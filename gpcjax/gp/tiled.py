@@ -109,7 +109,8 @@ def factor(
         return upper, tiles.put(inverses, (), (i * SIDE, 0), inverse)
 
     room = jnp.zeros((size, size + SIDE)), jnp.zeros((size, SIDE))
-    return Factor(*lax.fori_loop(jnp.int32(0), used, row, room), count)
+    upper, inverses = lax.fori_loop(jnp.int32(0), used, row, room)
+    return Factor(upper, inverses, count)
 
 
 def whiten(lower: Float[Array, "..."], place: Places, count: Index, vector: Vector) -> Vector:

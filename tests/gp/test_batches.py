@@ -92,7 +92,10 @@ def test_no_kernel_is_given_a_batch(name, axes):
     function, arguments = programs()[name]
     for _ in range(axes):
         function = jax.jit(jax.vmap(function))
-    found = list(equations(jax.make_jaxpr(function)(*stacked(arguments, *[LANES] * axes)).jaxpr))
+    shapes = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((*[LANES] * axes, *leaf.shape), leaf.dtype), arguments
+    )
+    found = list(equations(jax.make_jaxpr(function)(*shapes).jaxpr))
     kernels = [each for each in found if each.primitive.name in ("cholesky", "triangular_solve")]
     assert kernels and all(variable.aval.ndim == 2 for each in kernels for variable in each.invars)
     if name in ("correct", "uncertainty", "scan", "hyperparameters"):
