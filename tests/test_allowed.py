@@ -99,5 +99,5 @@ def test_several_values_are_taken_in_their_order():
 @pytest.mark.parametrize("value", [MASKED, np.timedelta64(3, "ns"), np.array([1], "m8[ns]")], ids=repr)
 def test_nor_do_they_enter_a_card(tmp_path, value):
     with pytest.raises(TypeError, match="is no JSON value: give text, numbers, lists or tables"):
-        write_folder(tmp_path / "new", {"kind": "x", "provenance": {"seen": value}}, {})
+        write_folder(tmp_path / "new", {"kind": "x", "provenance": {"seen": value}}, {"a": np.ones(1)})
     assert not list(tmp_path.iterdir())

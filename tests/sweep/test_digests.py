@@ -260,7 +260,7 @@ def test_shards_are_held_to_all_before_them(tmp_path, modules):
     assert refusal(merge, [out]) == (
         f"{parts[2]}: its oracle myrule:act is another one than that of {parts[1]}: run one again into a new folder"
     )
-    shares = [merging._share(part, read_manifest(part)) for part in parts]
+    shares = [merging._share(*each) for each in merging._found(parts)]
     older = manifest | {"versions": manifest["versions"] | {"python": "3.9.0"}}
     shares[2] = dataclasses.replace(shares[2], manifest=older)
     assert "made with python 3.9.0" in refusal(merging._checked, shares)  # which read code otherwise
