@@ -10,6 +10,7 @@ import enum
 import functools
 import hashlib
 import importlib.metadata
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -73,13 +74,16 @@ def digest(compiled_in: Any, arguments: Any) -> str:
 
 @functools.cache
 def _ground() -> str:
-    """What every program depends on: this package's source, word by word, and versions."""
+    """What every program depends on: this package's source, word by word, versions, and what XLA is told.
+
+    The last decides how some are written (`gpcjax.gp.tiled.is_fast`), too.
+    """
     source = hashlib.sha256()
     root = Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         source.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
     versions = [importlib.metadata.version(name) for name in BUILT_ON]
-    return " ".join([source.hexdigest(), sys.version, *versions])
+    return " ".join([source.hexdigest(), sys.version, *versions, os.environ.get("XLA_FLAGS", "")])
 
 
 def _lines(thing: Any, values: bool, inside: tuple[int, ...] = ()) -> Iterator[str]:

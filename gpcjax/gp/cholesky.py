@@ -36,7 +36,9 @@ def inverse(lower: Square) -> Square:
     return _substitute(lower, jnp.eye(lower.shape[0], dtype=lower.dtype))
 
 
-def one_at_a_time(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+def one_at_a_time(
+    function: Callable[..., PyTree], derived: Callable[..., PyTree] | None = None
+) -> Callable[..., PyTree]:
     """`function` of arrays, which under `jax.vmap` computes one lane after the other.
 
     jaxlib's batched LAPACK kernels (Cholesky, triangular solves) split a batch over XLA's pool of threads where it is
@@ -46,10 +48,11 @@ def one_at_a_time(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     What is batched stays a batch of one in any nesting of `vmap`, a condition inside stays a condition, and a lane has
     the numbers that it has alone. `function` closes over no array. Its derivative of either mode is that of what it is
-    made of; that must itself be safe under `vmap`, and may compute all lanes in one go.
+    made of, or of `derived`, which computes the same; that must itself be safe under `vmap`, and may compute all lanes
+    in one go.
     """
     single = jax.custom_jvp(_batched_apart(function))
-    single.defjvp(lambda primals, tangents: jax.jvp(function, primals, tangents))
+    single.defjvp(lambda primals, tangents: jax.jvp(derived or function, primals, tangents))
     return single
 
 

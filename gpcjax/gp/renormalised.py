@@ -26,9 +26,11 @@ _SIZES = (
 )
 """Leading rows that LAPACK factorises alone; finer from 512 on, where a factor takes longer than to compile it."""
 
-_TILED = (128, 512)
-"""Room for matrices that are factorised tile by tile, as many tiles as are in use: few, as each takes half a second to
-compile and no more than to be zeroed. LAPACK is faster with more points."""
+_FEW, _TILED = 128, 512
+"""Rooms for matrices that are factorised tile by tile, as many tiles as are in use: the second one for all that are,
+the first one where it saves much of what it costs to zero the room. Each takes half a second to compile. LAPACK is
+faster with more points.
+"""
 
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
@@ -92,11 +94,9 @@ class Renormalised(GaussianProcess):
         if not self.keeps_weights:
             data = small(posteriors, place)
             return _leading(_explained, self._problem(data, data.scale, covariances))
-        if tiled.is_fast(covariances.shape[0]):
-            count = tiles.take(posteriors.count, place)
-            whitened = tiled.whiten(posteriors.matrix, place, count, covariances)
-        else:
-            whitened = cholesky.solve(tiles.take(posteriors.matrix, place), covariances)
+        count = tiles.take(posteriors.count, place)
+        whiten = _whiten_by_tiles if tiled.is_fast(covariances.shape[0]) else _whiten
+        whitened = whiten(posteriors.matrix, place, count, covariances)
         return (whitened * whitened).sum()
 
     def read(
@@ -215,28 +215,43 @@ def _leading(function: Callable[[_Problem, bool, int], PyTree], problem: _Proble
     capacity = problem.capacity
     if together():
         return function(problem, False, capacity)
-    sizes, by_tiles = _leading_sizes(capacity), tiled.is_fast(capacity)
 
-    @cholesky.one_at_a_time
-    def choose(problem: _Problem) -> PyTree:
+    def by(are_tiled: bool) -> Callable[[_Problem], PyTree]:
+        sizes = _leading_sizes(capacity, are_tiled)
+
         def at(size: int) -> Callable[[_Problem], PyTree]:
-            by_tiles_here = by_tiles and size <= _TILED[-1]
-            return lambda problem: function(problem.leading(size), by_tiles_here, capacity)
+            by_tiles = are_tiled and size <= _TILED
+            return lambda problem: function(problem.leading(size), by_tiles, capacity)
 
-        if len(sizes) == 1:
-            return at(capacity)(problem)
-        index = jnp.searchsorted(jnp.array(sizes), problem.count)
-        return lax.switch(index, [at(size) for size in sizes], problem)
+        def choose(problem: _Problem) -> PyTree:
+            if len(sizes) == 1:
+                return at(capacity)(problem)
+            index = jnp.searchsorted(jnp.array(sizes), problem.count)
+            return lax.switch(index, [at(size) for size in sizes], problem)
 
-    return choose(problem)
+        return choose
+
+    return cholesky.one_at_a_time(by(tiled.is_fast(capacity)), derived=by(False))(problem)
 
 
-def _leading_sizes(capacity: int) -> tuple[int, ...]:
-    """Sizes for dictionaries that have not filled their room: from a sixth of it on, or a quarter by tiles."""
-    if not tiled.is_fast(capacity):
-        return (*[size for size in _SIZES if capacity / 6 <= size < capacity], capacity)
-    larger = [size for size in _SIZES if size > _TILED[-1]]
-    return (*[size for size in (*_TILED, *larger) if capacity / 4 <= size < capacity], capacity)
+def _leading_sizes(capacity: int, are_tiled: bool) -> tuple[int, ...]:
+    """Sizes for dictionaries that have not filled their room: from a sixth of it on; by tiles one at most."""
+    sizes = [size for size in _SIZES if capacity / 6 <= size < capacity]
+    if are_tiled:
+        smaller = _TILED if capacity > _TILED else _FEW
+        helps = capacity > _TILED or capacity >= 4 * _FEW
+        sizes = [size for size in sizes if size > _TILED or (size == smaller and helps)]
+    return (*sizes, capacity)
+
+
+def _whiten(matrix: PyTree, place: Places, count: Int[Array, ""], vector: Float[Array, " n"]) -> PyTree:
+    """L^-1 v, of the factor at `place`."""
+    return cholesky.solve(tiles.take(matrix, place), vector)
+
+
+_whiten_by_tiles = jax.custom_jvp(tiled.whiten)
+_whiten_by_tiles.defjvp(lambda primals, tangents: jax.jvp(_whiten, primals, tangents))
+"""With a rule for `vmap` it would be given a copy of the block of factors: half a correction's time."""
 
 
 def normalising_scale(points: Float[Array, "n d"], active: Bool[Array, " n"]) -> Float[Array, " d"]:

@@ -40,7 +40,7 @@ class Factor(eqx.Module):
     """U of the points in use, and one vector v.
 
     `matrix` has U, of whose tiles what is below the diagonal means nothing, and beside it in a column of tiles U^-T v.
-    `inverse` has U^-T of the tiles on the diagonal.
+    `inverse` has U^-1 of the tiles on the diagonal.
     """
 
     matrix: Room
@@ -48,10 +48,12 @@ class Factor(eqx.Module):
     count: Index
 
     def lower(self, n: int) -> Float[Array, "n n"]:
-        """U^T of so many rows; the identity where there is no point. What is above the diagonal means nothing."""
+        """U^T of so many rows; the identity where there is no point."""
         rows = jnp.arange(n)
-        unused = (rows >= tiles.whole(self.count, SIDE) * SIDE)[:, None] & (rows[:, None] == rows[None])
-        return jnp.where(unused, 1.0, self.matrix[:n, :n].T)
+        diagonal = rows[:, None] == rows[None]
+        unused = (rows >= tiles.whole(self.count, SIDE) * SIDE)[:, None]
+        lower = jnp.where(rows[:, None] < rows[None], 0.0, self.matrix[:n, :n].T)
+        return jnp.where(unused & diagonal, 1.0, lower)
 
     @property
     def whitened(self) -> Vector:
@@ -70,9 +72,10 @@ class Factor(eqx.Module):
 
             products = lax.fori_loop(i + 1, used, column, jnp.zeros((SIDE, SIDE)))
             rest = _part(whitened, i) - products.sum(1)
-            return tiles.put(
-                solution, (), (i * SIDE,), (_tile(self.inverse, i, jnp.int32(0)) * rest[:, None]).sum(0)
-            )
+            corner, inverse = _tile(self.matrix, i, i), _tile(self.inverse, i, jnp.int32(0))
+            first = (inverse * rest[None]).sum(1)
+            left = rest - (corner * first[None]).sum(1)
+            return tiles.put(solution, (), (i * SIDE,), first + (inverse * left[None]).sum(1))
 
         return lax.fori_loop(jnp.int32(0), used, row, jnp.zeros_like(whitened))
 
@@ -95,17 +98,19 @@ def factor(
     def row(i: Index, carry: tuple[Room, Inverses]) -> tuple[Room, Inverses]:
         upper, inverses = carry
 
-        def column(j: Index, carry: tuple[Room, Tile]) -> tuple[Room, Tile]:
-            upper, inverse = carry
+        def column(j: Index, carry: tuple[Room, Tile, Tile]) -> tuple[Room, Tile, Tile]:
+            upper, corner, inverse = carry
             beside = j == used  # after the last column of U comes that of the vector
             first = jnp.where(jnp.arange(SIDE)[None] == 0, _part(vector, i)[:, None], 0.0)
             tile = jnp.where(beside, first, _gram(kernel, inputs, count, noise, i, jnp.where(beside, i, j)))
             at = jnp.where(beside, jnp.int32(size // SIDE), j)
             rest = lax.fori_loop(jnp.int32(0), i, lambda k, rest: _less(upper, rest, k, i, at), tile)
-            inverse = lax.cond(i == j, _inverse, lambda rest: inverse, rest)
-            return tiles.put(upper, (), (i * SIDE, at * SIDE), _product(inverse.T, rest)), inverse
+            corner, inverse = lax.cond(i == j, _cholesky, lambda rest: (corner, inverse), rest)
+            here = jnp.where(i == j, corner, _solved(corner, inverse, rest))
+            return tiles.put(upper, (), (i * SIDE, at * SIDE), here), corner, inverse
 
-        upper, inverse = lax.fori_loop(i, used + 1, column, (upper, jnp.zeros((SIDE, SIDE))))
+        none = jnp.zeros((SIDE, SIDE))
+        upper, _, inverse = lax.fori_loop(i, used + 1, column, (upper, none, none))
         return upper, tiles.put(inverses, (), (i * SIDE, 0), inverse)
 
     room = jnp.zeros((size, size + SIDE)), jnp.zeros((size, SIDE))
@@ -167,8 +172,8 @@ def _product(left: Tile, right: Tile) -> Tile:
     return (left[:, :, None] * right[:, None, :]).sum(0)
 
 
-def _inverse(matrix: Tile) -> Tile:
-    """U^-T of a tile U^T U of which only what is not below the diagonal is looked at: rows taken out of those below."""
+def _cholesky(matrix: Tile) -> tuple[Tile, Tile]:
+    """U and U^-1 of a tile U^T U, of which what is below the diagonal is not looked at, and nothing is there in U."""
     within = jnp.arange(SIDE)
 
     def step(row: Index, both: Float[Array, "side twice"]) -> Float[Array, "side twice"]:
@@ -179,11 +184,18 @@ def _inverse(matrix: Tile) -> Tile:
         return jnp.where(here, mine[None], jnp.where(below, both - column[:, None] * mine[None], both))
 
     both = jnp.concatenate([matrix, jnp.eye(SIDE)], axis=1)
-    return lax.fori_loop(jnp.int32(0), jnp.int32(SIDE), step, both)[:, SIDE:]
+    both = lax.fori_loop(jnp.int32(0), jnp.int32(SIDE), step, both)
+    return jnp.triu(both[:, :SIDE]), both[:, SIDE:].T
+
+
+def _solved(corner: Tile, inverse: Tile, right: Tile) -> Tile:
+    """U^-T B, of a tile U: by its inverse, and once more for what that leaves, which is as exact as a substitution."""
+    first = _product(inverse, right)
+    return first + _product(inverse, right - _product(corner, first))
 
 
 def _forward(corner: Tile, right: Side) -> Side:
-    """L^-1 b, of a tile L; zero where L is."""
+    """L^-1 b, of a tile L."""
     within = jnp.arange(SIDE)
 
     def step(row: Index, rest: Side) -> Side:

@@ -100,7 +100,7 @@ def test_no_kernel_is_given_a_batch(name, axes):
     assert kernels and all(variable.aval.ndim == 2 for each in kernels for variable in each.invars)
     if name in ("correct", "uncertainty", "scan", "hyperparameters"):
         sizes = [len(each.params["branches"]) for each in found if each.primitive.name == "cond"]
-        assert max(sizes) == len(_leading_sizes(CAPACITY)) > 2
+        assert max(sizes) == len(_leading_sizes(CAPACITY, True)) > 2
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gpcjax.gp import tiled, tiles
+from gpcjax.gp import cholesky, tiled
 from gpcjax.gp.kernels import SMOOTHNESSES, Kernel
 from gpcjax.gp.renormalised import Renormalised, _leading_sizes
 from tests.trees import assert_close
@@ -42,9 +42,11 @@ def test_it_is_numpys(smoothness):
         kernel, points, vector, matrix = given(count, smoothness)
         factor = _factor(kernel, points, np.int32(count), vector)
         lower = np.linalg.cholesky(matrix)
-        got = np.tril(factor.lower(ROOM))
+        got = np.asarray(factor.lower(ROOM))
         np.testing.assert_allclose(got[:count, :count], lower, atol=1e-14)
         np.testing.assert_array_equal(got[count:], np.eye(ROOM)[count:])
+        np.testing.assert_array_equal(got[:, count:], np.eye(ROOM)[:, count:])
+        assert not np.triu(got, 1).any()
         whitened, solved = np.zeros(ROOM), np.zeros(ROOM)
         whitened[:count] = np.linalg.solve(lower, vector[:count])
         solved[:count] = np.linalg.solve(matrix, vector[:count])
@@ -97,8 +99,7 @@ def test_a_model_that_learns_by_tiles(by_tiles, monkeypatch, keeps_weights):
             index = step if step < 20 else step - 15
             posterior, deviation = learned(posterior, rng.normal(size=3), rng.normal(), np.int32(index))
             told.append(deviation)
-        lower = jnp.tril(posterior.matrix)  # of LAPACK's, what is above is zero
-        return posterior.points, posterior.targets, posterior.scale, posterior.weights, lower, jnp.stack(told)
+        return posterior, jnp.stack(told)
 
     own = taught(ROOM)
     monkeypatch.setattr(tiled, "is_fast", lambda capacity: False)
@@ -116,8 +117,56 @@ def test_it_is_for_processes_that_compile_loops_whole(monkeypatch):
     assert not tiled.is_fast(64)
 
 
-def test_room(by_tiles):
+def test_room():
     """Few of them, the last one all there is; beyond those that are tiled, LAPACK's."""
-    assert [_leading_sizes(capacity) for capacity in (48, 64, 128, 512)] == [(48,), (64,), (128,), (128, 512)]
-    assert _leading_sizes(1024) == (512, 640, 768, 896, 1024)
-    assert tiles.ROWS == 8
+    sizes = [_leading_sizes(capacity, True) for capacity in (48, 64, 128, 512)]
+    assert sizes == [(48,), (64,), (128,), (128, 512)]
+    assert _leading_sizes(256, True) == (256,)
+    assert _leading_sizes(1024, True) == (512, 640, 768, 896, 1024)
+    assert _leading_sizes(4096, True)[:2] == _leading_sizes(4096, False)[:2] == (768, 896)
+    assert _leading_sizes(64, False) == (16, 32, 48, 64)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-10])
+def test_points_upon_each_other_are_as_exact_as_by_lapack(noise):
+    """Little noise makes the matrix nearly singular: an inverse of its tiles alone would lose two digits."""
+    rng = np.random.default_rng(0)
+    points = np.zeros((40, 2))
+    points[:37] = rng.normal(size=(6, 2))[rng.integers(6, size=37)]
+    vector = np.zeros(40)
+    vector[:37] = rng.normal(size=37)
+    kernel, scale = Kernel(jnp.array(0.8), jnp.array(0.7), np.inf), jnp.ones(2)
+    gram = np.asarray(kernel.gram(jnp.asarray(points[:37]), scale))
+    factor = jax.jit(tiled.factor)(kernel, points, scale, np.int32(37), jnp.array(noise), vector)
+    lower = cholesky.factor(jnp.asarray(gram), jnp.ones(37, bool), jnp.array(noise))
+    by_lapack = cholesky.solve(lower, cholesky.solve(lower, jnp.asarray(vector[:37])), transpose=True)
+    # Points that agree share their targets' sum: so the mean there is known, and well determined.
+    _, which = np.unique(points[:37], axis=0, return_inverse=True)
+    count, total = np.bincount(which.ravel()), np.bincount(which.ravel(), vector[:37])
+    _, first = np.unique(which.ravel(), return_index=True)
+    distinct = gram[np.ix_(first, first)]
+    exact = (distinct @ np.linalg.solve(distinct + np.diag(noise / count), total / count))[which.ravel()]
+    error, usual = (
+        np.abs(gram @ np.asarray(weights) - exact).max() for weights in (factor.solved()[:37], by_lapack)
+    )
+    assert error < 4 * usual
+
+
+@pytest.mark.parametrize("function", [jax.grad, jax.jacfwd])
+def test_derivatives_are_those_by_lapack(by_tiles, monkeypatch, function):
+    """Of either mode; loops whose length is not known could not be gone through backwards."""
+    rng = np.random.default_rng(0)
+
+    def uncertainty(noise):
+        process = Renormalised(Kernel(jnp.array(0.8), jnp.array(0.7), 2.5), noise)
+        posterior = process.init(16, jnp.ones(3))
+        for index, (point, target) in enumerate(zip(*given_points, strict=True)):
+            reading = process.read(posterior, (), process.covariances(posterior, point))
+            change = process.put(posterior, (), reading, point, target, jnp.int32(index), jnp.array(True))
+            posterior = change.write(posterior, ())
+        return process.uncertainty(posterior, jnp.zeros(3)) + posterior.weights.sum()
+
+    given_points = jnp.asarray(rng.normal(size=(3, 3))), jnp.asarray(rng.normal(size=3))
+    own = jax.jit(function(uncertainty))(0.1)
+    monkeypatch.setattr(tiled, "is_fast", lambda capacity: False)
+    np.testing.assert_allclose(own, jax.jit(function(lambda noise: uncertainty(noise)))(0.1), rtol=1e-9)
