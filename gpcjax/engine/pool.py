@@ -43,6 +43,11 @@ Measured on a CPU (`benchmarks/README.md`): few tiers, as each costs seconds to 
 proportional to the width from 32 lanes on, and those few that outgrow the others run alone in the end.
 """
 
+NORMALISED = dataclasses.replace(TIERS[1], policy_capacity=192)
+"""In the place of the second one for GPC-NS, whose policies grow larger: of 300 usual runs one or two have more than
+128 points, whose tier would be compiled for them alone. GPC's have not, and their last bits would be others.
+"""
+
 TIERS_TOGETHER = (
     Tier(48, 64, 4096),
     Tier(96, 128, 4096),
@@ -58,9 +63,14 @@ Measured on one GPU (`benchmarks/README.md`): there a round takes as long for a 
 """
 
 
-def tiers(max_capacity: int, together: bool = False) -> tuple[Tier, ...]:
-    """The tiers up to `max_capacity` points, the last one exactly there; `together` for where lanes are."""
+def tiers(max_capacity: int, together: bool = False, normalises: bool = False) -> tuple[Tier, ...]:
+    """The tiers up to `max_capacity` points, the last one exactly there; `together` for where lanes are.
+
+    `normalises` for learners that do.
+    """
     measured, wide = (TIERS_TOGETHER, 64) if together else (TIERS, 8)
+    if normalises and not together:
+        measured = (measured[0], NORMALISED, *measured[2:])
     largest = measured[-1].human_capacity
     beyond = [Tier(largest, largest, wide)]
     while largest < max_capacity:

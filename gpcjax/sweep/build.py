@@ -190,6 +190,7 @@ def make_oracle(
 def _tiers(program: Program) -> Sequence[Tier]:
     # Simulations on the host are stepped one after the other, whatever computes the rest.
     wide = together() and not find("task", program.env).on_host
-    if find("learner", program.algo).dictionary:
-        return tiers(program.max_capacity, wide)
+    learner = find("learner", program.algo)
+    if learner.dictionary:
+        return tiers(program.max_capacity, wide, learner.normalises)
     return (WIDE_TOGETHER if wide else WIDE,)

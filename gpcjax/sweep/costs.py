@@ -29,7 +29,7 @@ a usual episode (1,100 and 200), where a teacher may advise."""
 _COMPILING = {"gpc": 4.4, "gpc-ns": 5.2, "coach": 1.7, "d-coach": 12.0}
 """Seconds until the programs of one tier are compiled."""
 
-_TIERS = {"gpc": 2, "gpc-ns": 3}
+_TIERS = {"gpc": 2, "gpc-ns": 2}
 """Tiers that runs with the usual settings get to, of learners with a dictionary."""
 
 LANES = 64

@@ -170,9 +170,15 @@ class TestCOACH(Bits):
 
 
 class TestTiers:
-    def test_the_last_one_is_exactly_the_bound(self):
-        for bound in (1, 31, 32, 33, 64, 100, 1000, 1024, 3000):
-            chosen = pool_module.tiers(bound)
+    def test_policies_of_a_learner_that_normalises_have_more_room_before_another_program_is_needed(self):
+        usual, normalised = pool_module.tiers(1024), pool_module.tiers(1024, normalises=True)
+        assert [tier.policy_capacity for tier in normalised[:3]] == [48, 192, 256]
+        assert [tier.human_capacity for tier in normalised] == [tier.human_capacity for tier in usual]
+
+    @pytest.mark.parametrize("normalises", [False, True])
+    def test_the_last_one_is_exactly_the_bound(self, normalises):
+        for bound in (1, 31, 32, 33, 64, 100, 150, 1000, 1024, 3000):
+            chosen = pool_module.tiers(bound, normalises=normalises)
             assert (chosen[-1].policy_capacity, chosen[-1].human_capacity) == (bound, bound)
             sizes = [(tier.policy_capacity, tier.human_capacity) for tier in chosen]
             assert sizes == sorted(set(sizes))
@@ -185,10 +191,12 @@ class TestTiers:
         with pytest.raises(ValueError, match=f"a block of {lanes} lanes: give a power of two, 8 or more"):
             block_module.Tier(8, 8, lanes)
 
-    def test_those_below_are_the_same_tiers_cut_at_the_bound(self):
+    @pytest.mark.parametrize("normalises", [False, True])
+    def test_those_below_are_the_same_tiers_cut_at_the_bound(self, normalises):
         """So that a larger bound changes nothing for runs that stay in the tiers below it."""
-        large = pool_module.tiers(4096)
+        large = pool_module.tiers(4096, normalises=normalises)
         for bound in (64, 200, 512, 1024):
-            for small, tier in zip(pool_module.tiers(bound)[:-1], large, strict=False):
+            few = pool_module.tiers(bound, normalises=normalises)
+            for small, tier in zip(few[:-1], large, strict=False):
                 assert small.capacities == tuple(min(room, bound) for room in tier.capacities)
                 assert small.lanes == tier.lanes
