@@ -193,15 +193,14 @@ def _factorised(
     """L, with a unit diagonal where there is no point, and (K + noise I)^-1 v, of so many rows."""
     if by_tiles:
         factor = problem.tiled()
-        lower, solved = factor.lower(problem.capacity), factor.solved()[: problem.capacity]
+        lower, solved = factor.lower(), factor.solved()
     else:
         lower, whitened = problem.whole()
         solved = cholesky.solve(lower, whitened, transpose=True)
-    more = capacity - problem.capacity
-    if not more:
-        return lower, solved
     size = problem.capacity
-    return jnp.eye(capacity).at[:size, :size].set(lower), jnp.pad(solved, (0, more))
+    if size == capacity:
+        return lower, solved
+    return jnp.eye(capacity).at[:size, :size].set(lower), jnp.pad(solved, (0, capacity - size))
 
 
 def _leading(function: Callable[[_Problem, bool, int], PyTree], problem: _Problem) -> PyTree:

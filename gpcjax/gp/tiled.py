@@ -1,7 +1,7 @@
 """Gram matrices that are factorised while they are made, tile by tile, for GPC-NS: K + noise I = U^T U.
 
 Loops go over the tiles of the points in use, however much room there is, and over half of the matrix. Where XLA
-compiles all of them to one function, that takes three fifths to nine tenths of LAPACK's time for a matrix that is made
+compiles all of them to one function, that takes four fifths to nine tenths of LAPACK's time for a matrix that is made
 before, with up to some hundred points (`benchmarks/README.md`).
 """
 
@@ -47,8 +47,9 @@ class Factor(eqx.Module):
     inverse: Inverses
     count: Index
 
-    def lower(self, n: int) -> Float[Array, "n n"]:
-        """U^T of so many rows; the identity where there is no point."""
+    def lower(self) -> Float[Array, "m m"]:
+        """U^T; the identity where there is no point."""
+        n = self.matrix.shape[0]
         rows = jnp.arange(n)
         diagonal = rows[:, None] == rows[None]
         unused = (rows >= tiles.whole(self.count, SIDE) * SIDE)[:, None]

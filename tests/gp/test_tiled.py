@@ -42,7 +42,7 @@ def test_it_is_numpys(smoothness):
         kernel, points, vector, matrix = given(count, smoothness)
         factor = _factor(kernel, points, np.int32(count), vector)
         lower = np.linalg.cholesky(matrix)
-        got = np.asarray(factor.lower(ROOM))
+        got = np.asarray(factor.lower())
         np.testing.assert_allclose(got[:count, :count], lower, atol=1e-14)
         np.testing.assert_array_equal(got[count:], np.eye(ROOM)[count:])
         np.testing.assert_array_equal(got[:, count:], np.eye(ROOM)[:, count:])
@@ -59,7 +59,7 @@ def test_it_is_numpys(smoothness):
 def test_what_is_kept_whitens(count):
     """Where it is among others; what is above the diagonal means nothing."""
     kernel, points, vector, matrix = given(count)
-    lower = _factor(kernel, points, np.int32(count), vector).lower(ROOM)
+    lower = _factor(kernel, points, np.int32(count), vector).lower()
     others = jnp.stack([jnp.full_like(lower, jnp.nan), lower + jnp.triu(jnp.full_like(lower, 1e9), 1)])[
         :, None
     ]

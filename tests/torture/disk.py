@@ -4,14 +4,14 @@ It is a tmpfs that no other process sees, in a mount namespace (`in_private`); w
 fewer (`Disk.faults`).
 """
 
-import collections
 import ctypes
 import os
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+
+from tests.torture.telling import told
 
 _PRIVATE = "GPCJAX_TORTURE_PRIVATE"
 """Set in a process that has a mount namespace of its own."""
@@ -104,11 +104,4 @@ def _mount(
 
 def count(what: str, cases: Iterable[tuple[str, str | None, str]]) -> int:
     """Runs cases (name, what became of it, why not), prints those that were not right: how many, 99 at most."""
-    began, counts = time.monotonic(), collections.Counter()
-    for name, status, why in cases:
-        counts[status or "WRONG"] += 1
-        if status is None:
-            print(f"{name}\n{why}", flush=True)
-    kinds = ", ".join(f"{number} {status}" for status, number in counts.most_common())
-    print(f"{what}: {counts.total()} in {time.monotonic() - began:.0f} s: {kinds}", flush=True)
-    return min(counts["WRONG"], 99)
+    return min(told(what, cases), 99)
