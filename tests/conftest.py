@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 import warnings
 
 import hypothesis
@@ -13,6 +14,7 @@ import jax
 import pytest
 import threadpoolctl
 from jax._src import compiler
+from jax._src.interpreters import mlir
 from jaxtyping import install_import_hook
 
 from gpcjax.sweep.environment import xla_options
@@ -246,9 +248,7 @@ def settings_of_jax(request):
     name = request.node.nodeid.removeprefix("tests/")
     jax.config.update("jax_debug_key_reuse", name.startswith(DRAWING))
     typechecker.check_in(name, everywhere=request.config.option.both_tiers)
-    with _compiled(plainly=name.startswith(COMPILED_PLAINLY)):
-        yield
-    jax.config.update("jax_debug_key_reuse", False)
+    _compile(plainly=name.startswith(COMPILED_PLAINLY))
 
 
 @contextlib.contextmanager
@@ -286,6 +286,25 @@ def _options_as_wanted(*given, env_options_overrides=None, **named):
 compiler.get_compile_options = _options_as_wanted
 
 
+class _Contexts(threading.local):
+    """What programs are lowered in: making one takes longer than lowering a small program in it.
+
+    What programs hold stays in it, so that it is made anew from time to time.
+    """
+
+    lowered = 0
+
+    def __call__(self):
+        if self.lowered % 100 == 0:
+            self.context = _new_context()
+        self.lowered += 1
+        return self.context
+
+
+_new_context = mlir.make_ir_context
+mlir.make_ir_context = _Contexts()
+
+
 @pytest.fixture
 def compiled_as_shipped():
     """XLA does its best for this test, whatever its module wants: it compares the bits of two programs."""
@@ -310,11 +329,12 @@ def compiled_plainly():
 @pytest.fixture(scope="module")
 def workers_in_process(settings_of_jax):
     """Sweeps of this module that are to run in processes run here: no worker has to start, where that is not tested."""
-    from gpcjax.sweep import run
+    from gpcjax.sweep import run, worker
     from gpcjax.sweep.executors import InProcess
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "Processes", lambda jobs: InProcess())
+        patch.setattr(worker, "give_back_memory", lambda: None)
         yield
 
 
@@ -335,7 +355,7 @@ def what_is_held_is_given_back():
     Held.keep_below()
 
 
-LARGE, MORE = 0.9e9, 0.2e9
+LARGE, MORE = 1.1e9, 0.1e9
 """Bytes up to which nothing is given back: at all, and more than were left the last time."""
 
 
