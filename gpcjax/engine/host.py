@@ -22,7 +22,7 @@ from gpcjax.engine.history import Credit
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import Lane, Phase, Start, fresh, room_for
 from gpcjax.engine.snapshots import NotResumed
-from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, watch
+from gpcjax.engine.stepping import acting, count_clipped, moment_of, propose, remember, watch
 from gpcjax.envs.base import State, begin
 from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Learner, Status
@@ -179,7 +179,7 @@ class HostLoop(eqx.Module):
             self.keep,
         )
         running = (block.phase == Phase.RUNNING) & ~last
-        proposed, finite = propose(block.controller, block.env.obs, block.tally.returns)
+        proposed, finite = propose(acting(block, running), block.env.obs, block.tally.returns)
         broken = running & ~finite
         running = running & ~broken
         may = may_advise(block.teacher, block.learner, block.episode, block.env.time, block_coins(block))

@@ -32,21 +32,20 @@ from gpcjax.learners.base import Status
 
 TIERS = (
     Tier(48, 64, 32),
-    Tier(128, 512, 16),
+    Tier(192, 512, 16),
     Tier(256, 1024, 16),
     Tier(512, 2048, 16),
     Tier(1024, 4096, 8),
 )
-"""Human models only append and outgrow policies, which SPARS keeps small; their room costs memory, and no time.
+"""Human models only append and outgrow policies, which SPARS keeps small; their room costs memory, and no time. What
+none of a block's policies has learned costs hardly any either (`gpcjax.policies.kernel`).
 
 Measured on a CPU (`benchmarks/README.md`): few tiers, as each costs seconds to compile; narrow ones, as time is
 proportional to the width from 32 lanes on, and those few that outgrow the others run alone in the end.
 """
 
-NORMALISED = dataclasses.replace(TIERS[1], policy_capacity=192)
-"""In the place of the second one for GPC-NS, whose policies grow larger: of 300 usual runs one or two have more than
-128 points, whose tier would be compiled for them alone. GPC's have not, and their last bits would be others.
-"""
+NORMALISED = TIERS[1:]
+"""For GPC-NS, whose runs nearly all outgrow the first one, and whose steps are no shorter there."""
 
 TIERS_TOGETHER = (
     Tier(48, 64, 4096),
@@ -68,9 +67,7 @@ def tiers(max_capacity: int, together: bool = False, normalises: bool = False) -
 
     `normalises` for learners that do.
     """
-    measured, wide = (TIERS_TOGETHER, 64) if together else (TIERS, 8)
-    if normalises and not together:
-        measured = (measured[0], NORMALISED, *measured[2:])
+    measured, wide = (TIERS_TOGETHER, 64) if together else (NORMALISED if normalises else TIERS, 8)
     largest = measured[-1].human_capacity
     beyond = [Tier(largest, largest, wide)]
     while largest < max_capacity:

@@ -27,7 +27,7 @@ from gpcjax.engine.episodes import end_episodes
 from gpcjax.engine.history import Credit
 from gpcjax.engine.keeping import Keep
 from gpcjax.engine.lanes import WINDOW, Lane, Phase, Start, Tally, coin_window, fresh, room_for
-from gpcjax.engine.stepping import count_clipped, moment_of, propose, remember, seen, watch
+from gpcjax.engine.stepping import acting, count_clipped, moment_of, propose, remember, seen, watch
 from gpcjax.envs.base import Env, started, stepped
 from gpcjax.learners.base import Learner, Status
 from gpcjax.teachers.base import Teacher
@@ -156,7 +156,7 @@ class Loop(eqx.Module):
     ) -> tuple[tuple[PyTree, ...], Int[Array, " lanes"]]:
         """So many steps of each lane, a stride at most; and how many it takes before it meets what is no number."""
         window, start, running = block.window, block.window_start, block.phase == Phase.RUNNING
-        controller = block.controller
+        controller = acting(block, running)
 
         def body(step: Int[Array, ""], carry: PyTree) -> PyTree:
             (env, tally, waiting, action, memory, history), sound = carry

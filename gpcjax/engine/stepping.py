@@ -12,13 +12,20 @@ from jaxtyping import Array, Bool, Float, PyTree
 from gpcjax.engine import streams
 from gpcjax.engine.history import History
 from gpcjax.engine.lanes import Lane, Tally
+from gpcjax.gp.batching import together
 from gpcjax.moment import Moment
 from gpcjax.policies.base import Controller
 from gpcjax.teachers.base import Teacher
 
 
+def acting(block: Lane, lanes: Bool[Array, " lanes"]) -> Callable[[Array], Array]:
+    """The controllers of the block, for these lanes of it. An accelerator has no time to decide what to leave out."""
+    controller = block.controller
+    return controller.in_use(lanes) if isinstance(controller, Controller) and not together() else controller
+
+
 def propose(
-    controller: Controller, obs: Float[Array, "obs lanes"], returns: Float[Array, " lanes"]
+    controller: Callable[[Array], Array], obs: Float[Array, "obs lanes"], returns: Float[Array, " lanes"]
 ) -> tuple[Float[Array, "action lanes"], Bool[Array, " lanes"]]:
     """The actions at these observations before they are clipped, and whether all is a number in each lane."""
     proposed = controller(obs)

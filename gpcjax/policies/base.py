@@ -8,7 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 import gpcjax.policies.pytree  # noqa: F401  (policies are part of jax wherever it is used)
 from gpcjax._x64 import set_public_methods_under_own_settings, under_own_settings
@@ -61,6 +61,13 @@ class Controller(Computing):
     @abc.abstractmethod
     def __call__(self, obs: Float[Array, "obs *lanes"]) -> Float[Array, "action *lanes"]:
         """The action before it is clipped to [-1, 1]."""
+
+    def in_use(self, lanes: Bool[Array, " lanes"]) -> Callable[[Array], Array]:
+        """What acts in the same way for a block, and need not look at what none of these lanes has learned.
+
+        The actions of a lane do not depend on the others, to the bit. For leaves with one axis of lanes at the end.
+        """
+        return self
 
 
 class Planner(ByIdentity):

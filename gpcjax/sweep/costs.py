@@ -26,10 +26,10 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 4.4, "gpc-ns": 5.2, "coach": 1.7, "d-coach": 12.0}
+_COMPILING = {"gpc": 4.4, "gpc-ns": 6.0, "coach": 1.7, "d-coach": 12.0}
 """Seconds until the programs of one tier are compiled."""
 
-_TIERS = {"gpc": 2, "gpc-ns": 2}
+_TIERS = {"gpc": 2}
 """Tiers that runs with the usual settings get to, of learners with a dictionary."""
 
 LANES = 64
