@@ -152,6 +152,11 @@ def kept(lane: Lane) -> dict[str, Any]:
     return {name: value for name, value in vars(lane).items() if name not in ("window", "window_start")}
 
 
+def in_numpy(tree: Any) -> Any:
+    """A tree of arrays on the host, where looking at a number takes no time."""
+    return jax.tree.map(np.asarray, tree)
+
+
 @dataclasses.dataclass
 class Plain:
     """What a plain loop measured: rows of numbers for each episode, and its corrections."""
@@ -186,29 +191,29 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
     log: dict[str, list] = {"moments": [], "values": [], "outcome": []}
     status = Status.OK
     for episode in range(episodes):
-        at, teacher = reset(env, streams.start_key(seed, episode)), given
+        at, teacher = reset(env, start_key(seed, episode)), given
         if teacher.schedule is not None:
-            rates = list(teacher.schedule)
-            teacher = dataclasses.replace(
-                teacher, rate=(rates + rates[-1:] * episodes)[episode], schedule=None
-            )
+            rates = np.asarray(start.teacher.schedule)
+            rate = jnp.asarray(rates[min(episode, len(rates) - 1)])
+            teacher = dataclasses.replace(teacher, rate=rate, schedule=None)
         while not at.done and status == Status.OK:
             step = int(at.time)
-            action, clipped, h, asked, chance, finite = propose(
-                learner, teacher, state, at.obs, coins(seed, episode, step, learner.action_size)
+            drawn = coins(seed, episode, step, learner.action_size)
+            action, clipped, h, asked, chance, finite = in_numpy(
+                propose(learner, teacher, state, at.obs, drawn)
             )
-            if not (finite and np.isfinite([*at.obs, rows["returns"][episode]]).all()):
+            if not (finite and np.isfinite(at.obs).all() and np.isfinite(rows["returns"][episode])):
                 status = Status.NON_FINITE
                 break
-            rows["asked"][episode] += bool(asked)
-            rows["chance_sum"][episode] += float(chance) if asked else 0.0
-            if np.any(h != 0):
+            rows["asked"][episode] += asked
+            rows["chance_sum"][episode] += chance if asked else 0.0
+            if h.any():
                 state, info = learner.correct(state, at.obs, action, h)
-                info = jax.tree.map(np.asarray, info)
+                info = in_numpy(info)
                 status = Status(int(info.status))
                 if status == Status.FULL and learner.on_full == "drop":
                     status = Status.OK
-                for i in np.flatnonzero(np.asarray(h)):
+                for i in np.flatnonzero(h):
                     log["moments"].append((episode, step, i))
                     log["values"].append(
                         [values[i] for values in (info.rate, info.sigma_policy, info.sigma_human)]
@@ -216,10 +221,10 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
                     log["outcome"].append([values[i] for values in (info.appended, info.replaced, info.full)])
                     rows["corrections"][episode] += info.rate[i] > 0
                     rows["rate_sum"][episode] += info.rate[i]
-                    rows["full"][episode] += bool(info.full[i])
+                    rows["full"][episode] += info.full[i]
             at = advance(env, at, action)
             rows["returns"][episode] += at.reward
-            rows["clipped"][episode] += bool(clipped)
+            rows["clipped"][episode] += clipped
         rows["length"][episode] = at.time
         rows["policy_points"][episode], rows["human_points"][episode] = learner.points(state)
         if not (np.isfinite(rows["returns"][episode]) and np.isfinite(at.obs).all()):
@@ -233,37 +238,48 @@ def plain(env: Env | HostEnv, start: Start, tier: Tier, episodes: int = EPISODES
 
 
 @dataclasses.dataclass
-class OnHost:
-    """What `plain` reads of an episode that is simulated on the host."""
+class At:
+    """Where an episode stands, in numpy, for `plain`; `inside` is what the task goes on from."""
 
-    simulation: Simulation
+    inside: State | Simulation
     obs: np.ndarray
-    time: int = 0
-    reward: float = 0.0
-    done: bool = False
+    time: Any = 0
+    reward: Any = 0.0
+    done: Any = False
 
 
-def reset(env: Env | HostEnv, key: PRNGKeyArray) -> State | OnHost:
+def reset(env: Env | HostEnv, key: PRNGKeyArray) -> At:
     """The start of an episode; on the host of a new simulation."""
     if isinstance(env, Env):
-        return _reset(env, key)
+        return _looked_at(*_reset(env, key))
     simulation = env.simulate()
-    return OnHost(simulation, simulation.reset(int(jax.random.key_data(key)[0])))
+    return At(simulation, simulation.reset(int(jax.random.key_data(key)[0])))
 
 
-def advance(env: Env | HostEnv, at: State | OnHost, action: Array) -> State | OnHost:
+def advance(env: Env | HostEnv, at: At, action: Any) -> At:
     if isinstance(env, Env):
-        return _step(env, at, action)
-    got = at.simulation.step(env.scaled(np.asarray(action)))
-    return OnHost(at.simulation, got.obs, at.time + 1, got.reward, got.terminated or got.truncated)
+        return _looked_at(*_step(env, at.inside, action))
+    got = at.inside.step(env.scaled(np.asarray(action)))
+    return At(at.inside, got.obs, at.time + 1, got.reward, got.terminated or got.truncated)
 
 
-_reset = eqx.filter_jit(lambda env, key: env.reset(key))
-_step = eqx.filter_jit(lambda env, state, action: env.step(state, action))
+def _looked_at(state: State, numbers: tuple) -> At:
+    return At(state, *map(np.asarray, numbers))
+
+
+def _numbers(state: State) -> tuple[State, tuple]:
+    return state, (state.obs, state.time, state.reward, state.done)
+
+
+_reset = jax.jit(lambda env, key: _numbers(env.reset(key)))
+_step = jax.jit(lambda env, state, action: _numbers(env.step(state, action)))
 coins = jax.jit(streams.coins, static_argnums=3)
+coins_at = jax.jit(jax.vmap(streams.coins, in_axes=(None, 0, 0, None)), static_argnums=3)
+"""Those of many places of one seed."""
+start_key = jax.jit(streams.start_key)
 
 
-@eqx.filter_jit
+@jax.jit
 def propose(learner: Learner, teacher: Oracle, state: Any, obs: Array, coins: Array) -> tuple:
     """The action, whether it was clipped, the advice on it (Alg. 4 with the chance of (3.6), worked out at once), and
     whether the action is a number.

@@ -13,16 +13,24 @@ from gpcjax.envs.host import Simulation
 from gpcjax.learners.base import Status
 from tests.engine.host_tasks import host_drift
 from tests.engine.tasks import ALGORITHMS, TIERS, learner, make_pool, oracle, plain, run, start
-from tests.engine.test_rollout import agrees, ends_where_it_fails
+from tests.engine.test_rollout import MANY, NARROW, agrees, ends_where_it_fails
 
 RECORDED = host_drift(force=0.0)
-NARROW = Tier(1, 1, 8)
+
+
+@pytest.fixture(scope="module")
+def coaches():
+    """A pool for COACH on the recording, which has run: its programs are compiled."""
+    first = start(0, learner("coach"), oracle(), 0)
+    pool = make_pool(RECORDED, first, (NARROW,), MANY)
+    run(pool, [first])
+    return pool
 
 
 @pytest.mark.parametrize(
     "algo", [algo if algo == "coach" else pytest.param(algo, marks=pytest.mark.slow) for algo in ALGORITHMS]
 )
-def test_against_a_plain_loop(algo):
+def test_against_a_plain_loop(algo, coaches):
     """With usual, wrong, quiet and busy teachers, GPC through two tiers; and the counters tell what was done."""
     tiers = TIERS[algo][-2:] if algo == "gpc" else TIERS[algo][-1:]
     settings = [
@@ -38,17 +46,21 @@ def test_against_a_plain_loop(algo):
         start(index, learner(algo, **large_steps), oracle(**teaching), seed)
         for index, (seed, teaching) in enumerate(settings)
     ]
-    pool = make_pool(RECORDED, starts[0], tiers, episodes=6)
+    pool = coaches if algo == "coach" else make_pool(RECORDED, starts[0], tiers, MANY)
+    before = dataclasses.replace(pool.counters)
     lanes = run(pool, starts)
     for each in starts:
-        agrees(lanes[each.name], plain(RECORDED, each, tiers[-1], episodes=6))
+        agrees(lanes[each.name], plain(RECORDED, each, tiers[-1], MANY))
     assert lanes[3].log.count == LOGGED_CORRECTIONS < lanes[3].rows.corrections.sum()
     assert lanes[1].rows.clipped.sum() > 0
     assert len({lane.rows.length.tobytes() for lane in lanes.values()}) == 3, (
         "seeds, not teachers, make lengths"
     )
-    assert pool.counters.env_steps == sum(lane.rows.length.sum() for lane in lanes.values())
-    assert pool.counters.episodes == 6 * len(lanes)
+    steps, episodes = (
+        getattr(pool.counters, name) - getattr(before, name) for name in ("env_steps", "episodes")
+    )
+    assert steps == sum(lane.rows.length.sum() for lane in lanes.values())
+    assert episodes == MANY * len(lanes)
     assert pool.counters.promotions >= (4 if algo == "gpc" else 0)
 
 
@@ -62,7 +74,7 @@ def test_active_learning():
     assert 0 < lane.rows.corrections.sum() < lane.rows.asked.sum() < lane.rows.length.sum()
 
 
-def test_starts(monkeypatch):
+def test_starts(coaches, monkeypatch):
     """Those of the seeds of a run, in order, in a simulation of its own; as many as there are episodes."""
     begun, reset = {}, Simulation.reset
 
@@ -72,11 +84,9 @@ def test_starts(monkeypatch):
 
     monkeypatch.setattr(Simulation, "reset", recording)
     starts = [start(seed, learner("coach"), oracle(), seed) for seed in (0, 5, 7)]
-    lanes = run(make_pool(RECORDED, starts[0], (NARROW,), episodes=3), starts)
-    complete = [tuple(seeds) for seeds in begun.values() if len(seeds) > 1]
-    assert sorted(complete) == sorted(tuple(streams.reset_seeds(seed, 3)) for seed in (0, 5, 7))
-    # One more for the shapes of an empty block.
-    assert len(begun) == 4
+    lanes = run(coaches, starts)
+    complete = sorted(tuple(seeds) for seeds in begun.values())
+    assert complete == sorted(tuple(streams.reset_seeds(seed, MANY)) for seed in (0, 5, 7))
     assert len({lane.rows.returns.tobytes() for lane in lanes.values()}) == 3
 
 
@@ -103,7 +113,7 @@ def test_what_is_no_number_ends_the_run():
     ends_where_it_fails(env, NARROW, starts, run(make_pool(env, starts[0], (NARROW,)), starts))
 
 
-def test_an_action_that_is_no_number_never_reaches_a_simulation(monkeypatch):
+def test_an_action_that_is_no_number_never_reaches_a_simulation(coaches, monkeypatch):
     starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(2)]
     grid = eqx.tree_at(lambda learner: learner.grid.lower, starts[1].learner, np.full(2, np.nan))
     starts[1] = dataclasses.replace(starts[1], learner=grid)
@@ -111,7 +121,7 @@ def test_an_action_that_is_no_number_never_reaches_a_simulation(monkeypatch):
     monkeypatch.setattr(
         Simulation, "step", lambda self, action: (actions.append(action), step(self, action))[1]
     )
-    lanes = run(make_pool(RECORDED, starts[0], (NARROW,)), starts)
+    lanes = run(coaches, starts)
     assert np.isfinite(actions).all() and lanes[0].status == Status.OK
     assert lanes[1].status == Status.NON_FINITE
     assert np.isnan(lanes[1].rows.returns[0]) and not lanes[1].rows.length.any()

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +28,7 @@ from tests.engine.tasks import (
     reset,
     run,
     start,
+    start_key,
 )
 from tests.engine.test_rollout import agrees
 from tests.trees import assert_same_bits
@@ -52,21 +52,20 @@ def begun(name, learner, teacher, seed, credit=None):
 
 
 draws = jax.jit(streams.draws)
-act = eqx.filter_jit(lambda learner, state, obs: learner.controller(state)(obs))
+act = jax.jit(lambda learner, state, obs: learner.controller(state)(obs))
 target = jax.jit(expert)
 
 
 def scaled(learner, weight):
     """A learner whose rates are `weight` times those of the other."""
+    if weight == 1.0:
+        return learner
     if hasattr(learner, "beta"):
         return dataclasses.replace(
             learner,
             beta=learner.beta * weight,
             magnitude=learner.magnitude * weight,
         )
-    if learner.static_rate is None:
-        assert weight == 1.0
-        return learner
     return dataclasses.replace(learner, static_rate=learner.static_rate * weight)
 
 
@@ -99,7 +98,7 @@ class Mind:
 
 def teach(env, start, tier, episodes=EPISODES):
     """One run as anyone would write it, with every step of an episode kept."""
-    learner, teacher = jax.tree.map(jnp.asarray, (start.learner, start.teacher))
+    learner, teacher = jax.tree.map(jnp.asarray, start.learner), start.teacher
     credit = [(0, 1.0)]
     if start.credit is not None:
         credit = [(start.credit.first + i, float(w)) for i, w in enumerate(start.credit.weights)]
@@ -108,11 +107,11 @@ def teach(env, start, tier, episodes=EPISODES):
     log = {"moments": [], "values": [], "outcome": []}
     mind = Mind(teacher)
     for episode in range(episodes):
-        at, path = reset(env, streams.start_key(start.seed, episode)), []
+        at, path = reset(env, start_key(start.seed, episode)), []
         while not at.done:
             place = (start.seed, episode, int(at.time))
-            proposed = np.asarray(act(learner, state, jnp.asarray(at.obs)))
-            path.append((jnp.asarray(at.obs), np.clip(proposed, -1.0, 1.0)))
+            proposed = np.asarray(act(learner, state, at.obs))
+            path.append((at.obs, np.clip(proposed, -1.0, 1.0)))
             drawn = np.asarray(coins(*place, 2))
             h, chance = mind.advice(path, drawn, np.asarray(draws(*place)))
             rows["asked"][episode] += (drawn < teacher.rate).any()
@@ -130,7 +129,7 @@ def teach(env, start, tier, episodes=EPISODES):
                     log["values"].append([info.rate[i], info.sigma_policy[i], info.sigma_human[i]])
                     log["outcome"].append([info.appended[i], info.replaced[i], info.full[i]])
             rows["clipped"][episode] += (np.abs(proposed) > 1.0).any()
-            at = advance(env, at, jnp.asarray(path[-1][1]))
+            at = advance(env, at, path[-1][1])
             rows["returns"][episode] += at.reward
         rows["length"][episode] = at.time
         rows["policy_points"][episode], rows["human_points"][episode] = learner.points(state)
@@ -283,7 +282,7 @@ def test_a_teacher_and_a_learner_of_ones_own(where):
     learn, idle, propose = (jax.jit(method) for method in (_learn(given), given.idle, given.propose))
     state, seen, total = given.resize(given.init(), 256, 256), 0, 0.0
     for episode in range(EPISODES):
-        at, path = reset(env, streams.start_key(seed, episode)), []
+        at, path = reset(env, start_key(seed, episode)), []
         while not at.done:
             time = int(at.time)
             path.append((jnp.asarray(at.obs), jnp.clip(propose(state, jnp.asarray(at.obs)), -1.0, 1.0)))

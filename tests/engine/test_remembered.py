@@ -18,7 +18,11 @@ from gpcjax.engine.remembered import Remembered
 from gpcjax.engine.writes import Writes, writes
 from tests.engine import helpers_with_memory as helpers
 from tests.engine.helpers_with_memory import Filter
+from tests.engine.host_tasks import host_drift
 from tests.engine.tasks import Drift
+
+TASK = host_drift()
+"""Whether jax can trace a policy is found out alike for all tasks, and this one has no program of its own."""
 
 taught = jnp.ones(2)
 """What somebody else teaches while a policy reads it."""
@@ -129,7 +133,7 @@ class TestWhatOthersDoMeanwhile:
             look(self)
 
         monkeypatch.setattr(Remembered, "look_again", looked)
-        evaluate(Drift(), robot, 2)
+        evaluate(TASK, robot, 2)
         assert robot.log == [*range(robot.count)] and robot.sensors[0] == robot.count > 0
 
 
@@ -151,10 +155,10 @@ def test_memory_of_modules_and_classes(policy):
         helpers.last, helpers.asked, Filter.value = None, 0, jnp.zeros(2)
 
     begin()
-    got = evaluate(Drift(), policy, 2)
+    got = evaluate(TASK, policy, 2)
     left = helpers.last, helpers.asked, Filter.value
     begin()
-    expected = evaluate(Drift(), lambda obs: np.asarray(policy(obs)), 2)
+    expected = evaluate(TASK, lambda obs: np.asarray(policy(obs)), 2)
     np.testing.assert_allclose(got.returns, expected.returns)
     assert not any(isinstance(each, jax.core.Tracer) for each in left)
     jax.tree.map(np.testing.assert_array_equal, left, (helpers.last, helpers.asked, Filter.value))
@@ -255,9 +259,9 @@ def by_value():
 )
 def test_memory_that_is_hard_to_see(begin):
     policy, filtered = begin(), begin()
-    expected = evaluate(Drift(), lambda obs: filtered(np.asarray(obs)), 2)
+    expected = evaluate(TASK, lambda obs: filtered(np.asarray(obs)), 2)
     policy = begin()
-    np.testing.assert_allclose(evaluate(Drift(), policy, 2).returns, expected.returns)
+    np.testing.assert_allclose(evaluate(TASK, policy, 2).returns, expected.returns)
     assert not isinstance(policy(np.ones(2)), jax.core.Tracer)
 
 
@@ -276,10 +280,10 @@ def test_what_refuses_to_be_looked_at_is_let_be():
         last[0] = 0.9 * last[0] + 0.1 * obs
         return -last[0]
 
-    got = evaluate(Drift(), policy, 2)
+    got = evaluate(TASK, policy, 2)
     assert isinstance(last[0], np.ndarray)
     last[0] = np.zeros(2)
-    np.testing.assert_allclose(got.returns, evaluate(Drift(), lambda obs: policy(np.asarray(obs)), 2).returns)
+    np.testing.assert_allclose(got.returns, evaluate(TASK, lambda obs: policy(np.asarray(obs)), 2).returns)
 
 
 def test_memory_that_nobody_sees_is_told(monkeypatch):
@@ -332,12 +336,10 @@ def test_memory_of_a_method():
             return taught
 
     teach(jnp.ones(2))
-    got = evaluate(Drift(), Reads(), 2)
+    got = evaluate(TASK, Reads(), 2)
     assert not isinstance(taught, jax.core.Tracer)
     teach(jnp.ones(2))
-    np.testing.assert_allclose(
-        got.returns, evaluate(Drift(), lambda obs: np.asarray(Reads()(obs)), 2).returns
-    )
+    np.testing.assert_allclose(got.returns, evaluate(TASK, lambda obs: np.asarray(Reads()(obs)), 2).returns)
 
 
 class Counter(collections.UserDict):
@@ -360,8 +362,8 @@ def test_what_installed_code_writes_is_put_back():
         counter.update(last=obs)
         return jnp.tanh(obs) * (counter.asked % 3)
 
-    got = evaluate(Drift(), policy, 2)
-    expected = evaluate(Drift(), lambda obs: np.asarray(policy(obs, plain)), 2)
+    got = evaluate(TASK, policy, 2)
+    expected = evaluate(TASK, lambda obs: np.asarray(policy(obs, plain)), 2)
     np.testing.assert_allclose(got.returns, expected.returns)
     assert counter.asked == plain.asked and not isinstance(counter["last"], jax.core.Tracer)
 
@@ -383,7 +385,7 @@ def test_an_iterator_loses_none_of_what_it_gives(begin, library):
         taken.append(float(next(numbers)))
         return library.asarray([0.001, 0.0]) * taken[-1]
 
-    evaluate(Drift(), policy, 1)
+    evaluate(TASK, policy, 1)
     assert taken[:3] == [1.0, 2.0, 3.0] and len(taken) > 3
 
 
@@ -396,7 +398,7 @@ def test_a_file_loses_no_line(tmp_path):
             taken.append(int(file.readline()))
             return 0.001 * jnp.ones(2) * taken[-1]
 
-        evaluate(Drift(), policy, 1)
+        evaluate(TASK, policy, 1)
     assert taken[:3] == [1, 2, 3]
 
 

@@ -17,6 +17,10 @@ from tests.trees import assert_same_bits
 
 RECORDED = Drift(force=0.0)
 TOLERANCE = 1e-8
+MANY = 6
+"""Episodes, until the log of a run with a busy teacher is full."""
+NARROW = Tier(1, 1, 8)
+"""For COACH, which has no dictionary."""
 
 
 def agrees(lane, expected, tolerance=TOLERANCE):
@@ -47,15 +51,21 @@ def actions(lane, state, obs):
     return [np.asarray(each) for each in _actions(jax.tree.map(jnp.asarray, lane), state, obs)]
 
 
+@pytest.fixture(scope="module")
+def coaches():
+    """A pool for COACH on the recording, whose program is compiled once."""
+    return make_pool(RECORDED, start(0, learner("coach"), oracle(), 0), (NARROW,), MANY)
+
+
 @pytest.mark.parametrize(
     ("algo", "tier"),
     [
         pytest.param("gpc", Tier(64, 192, 8), marks=pytest.mark.slow),
         pytest.param("gpc-ns", Tier(64, 192, 8), marks=pytest.mark.slow),
-        ("coach", Tier(1, 1, 8)),
+        ("coach", NARROW),
     ],
 )
-def test_against_a_plain_loop(algo, tier):
+def test_against_a_plain_loop(algo, tier, coaches):
     """With usual, wrong, quiet and busy teachers."""
     settings = [
         (3, {}),
@@ -68,9 +78,9 @@ def test_against_a_plain_loop(algo, tier):
         start(index, learner(algo, tier.policy_capacity, **large_steps), oracle(**teaching), seed)
         for index, (seed, teaching) in enumerate(settings)
     ]
-    lanes = run(make_pool(RECORDED, starts[0], (tier,), episodes=6), starts)
+    lanes = run(coaches if algo == "coach" else make_pool(RECORDED, starts[0], (tier,), MANY), starts)
     for each in starts:
-        agrees(lanes[each.name], plain(RECORDED, each, tier, episodes=6))
+        agrees(lanes[each.name], plain(RECORDED, each, tier, MANY))
     # The log is full where the teacher is busy, and goes no further.
     busy = lanes[3]
     assert busy.log.count == LOGGED_CORRECTIONS < busy.rows.corrections.sum()
@@ -177,34 +187,33 @@ def ends_where_it_fails(env, tier, starts, lanes):
 
 def test_what_is_no_number_ends_the_run():
     """At step 7 by an observation or a reward, or at the start of an episode; the learner keeps what it knew."""
-    env, tier = Drift(force=0.0, fails_at=7), Tier(1, 1, 8)
+    env = Drift(force=0.0, fails_at=7)
     starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(16)]
-    ends_where_it_fails(env, tier, starts, run(make_pool(env, starts[0], (tier,)), starts))
+    ends_where_it_fails(env, NARROW, starts, run(make_pool(env, starts[0], (NARROW,)), starts))
 
 
-def test_an_action_that_is_no_number_is_never_executed():
+def test_an_action_that_is_no_number_is_never_executed(coaches):
     """Though this task would take no notice of it, and a broken run stops beside healthy ones."""
-    tier = Tier(1, 1, 8)
     starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(4)]
     for index, value in ((1, np.nan), (2, np.inf)):
         grid = eqx.tree_at(lambda learner: learner.grid.lower, starts[index].learner, np.full(2, value))
         starts[index] = dataclasses.replace(starts[index], learner=grid)
-    lanes = run(make_pool(RECORDED, starts[0], (tier,)), starts)
-    for each in starts:
-        expected = plain(RECORDED, each, tier)
+    lanes = run(coaches, starts)
+    for each in starts[1:]:
+        expected = plain(RECORDED, each, NARROW, MANY)
         assert lanes[each.name].status == expected.status
         np.testing.assert_allclose(lanes[each.name].rows.returns, expected.rows["returns"])
     for index in (1, 2):
         assert lanes[index].status == Status.NON_FINITE
         assert np.isnan(lanes[index].rows.returns[0]) and not lanes[index].rows.length.any()
-    agrees(lanes[3], plain(RECORDED, starts[3], tier))
+    agrees(lanes[3], expected)
 
 
-def test_a_correction_that_is_not_finite_stops_the_run_there():
+def test_a_correction_that_is_not_finite_stops_the_run_there(coaches):
     each = start(0, learner("coach"), oracle(), 0)
     infinite = eqx.tree_at(lambda learner: learner.magnitude, each.learner, np.full(2, np.inf))
     each = dataclasses.replace(each, learner=infinite)
-    lane = run(make_pool(RECORDED, each, (Tier(1, 1, 8),)), [each])[0]
+    lane = run(coaches, [each])[0]
     assert lane.status == Status.NON_FINITE
     assert lane.rows.length[0] == lane.log.moments[0, 1] + 1 and np.isnan(lane.rows.returns[0])
     assert not lane.rows.length[1:].any() and not lane.controller.weights.any()

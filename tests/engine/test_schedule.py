@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from gpcjax.engine.pool import Tier
 from tests.engine.host_tasks import host_drift
-from tests.engine.tasks import Drift, coins, learner, make_pool, oracle, plain, run, start
-from tests.engine.test_rollout import agrees
-
-NARROW = Tier(1, 1, 8)
+from tests.engine.tasks import Drift, coins_at, learner, make_pool, oracle, plain, run, start
+from tests.engine.test_rollout import NARROW, agrees
 
 
 @pytest.mark.parametrize(
@@ -29,7 +26,8 @@ def test_a_schedule_gives_each_episode_its_own_chance(env):
         agrees(lane, plain(env, each, NARROW, episodes))
         for episode in range(episodes):
             chance, length = (*schedule, *schedule[-1:] * 2)[episode], int(lane.rows.length[episode])
-            below = np.array([coins(each.seed, episode, step, 2) for step in range(length)]) < chance
+            drawn = coins_at(each.seed, np.full(env.max_steps, episode), np.arange(env.max_steps), 2)
+            below = np.asarray(drawn)[:length] < chance
             assert lane.rows.asked[episode] == below.any(1).sum()
             # An action that is the target is met with silence.
             assert (chance > 0) == (lane.rows.corrections[episode] > 0)

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import gpcjax
-from gpcjax.engine import streams
 from gpcjax.engine.pool import Tier
 from gpcjax.engine.session import Session
 from gpcjax.errors import UserError
 from gpcjax.learners.base import Status
 from gpcjax.learners.saved import load_learner
 from gpcjax.teachers.replay import described_record
-from tests.engine.tasks import Drift, advance, learner, make_pool, reset, run, start
+from tests.engine.tasks import Drift, advance, learner, make_pool, reset, run, start, start_key
 from tests.engine.test_late import Restless
 from tests.trees import assert_close, assert_same_bits
 
@@ -151,6 +150,14 @@ class TestUndo:
         assert not session.undo() and session.corrections == 2
 
 
+@pytest.fixture(scope="module")
+def recorded(coach, tmp_path_factory):
+    """The lines of a record."""
+    path = tmp_path_factory.mktemp("recorded") / "record"
+    lesson(Session(coach, **LATE, record=path), 3, 4)
+    return path.read_text().splitlines()
+
+
 class TestRecord:
     def test_one_that_was_taken_away(self, coach, tmp_path):
         """Is not begun anew without its first lines."""
@@ -216,11 +223,9 @@ class TestRecord:
             (lambda lines: lines[1:], "no record of a session"),
         ],
     )
-    def test_another_file_is_refused(self, coach, tmp_path, change, message):
+    def test_another_file_is_refused(self, coach, recorded, tmp_path, change, message):
         path = tmp_path / "record"
-        lesson(Session(coach, **LATE, record=path), 3, 4)
-        lines = path.read_text().splitlines()
-        path.write_text("".join(f"{line}\n" for line in change(lines)))
+        path.write_text("".join(f"{line}\n" for line in change(recorded)))
         with pytest.raises(UserError, match=message) as refused:
             Session.replay(path, coach)
         assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
@@ -259,7 +264,7 @@ def test_several_threads(coach, tmp_path):
     session, failed = Session(coach, **LATE, record=tmp_path / "record"), []
     session.propose(PLACE)
 
-    def at_once(does, times=60):
+    def at_once(does, times=20):
         def run():
             try:
                 for each in range(times):
@@ -278,10 +283,19 @@ def test_several_threads(coach, tmp_path):
         thread.start()
     for thread in threads:
         thread.join()
-    assert not failed and session.step == 60
+    assert not failed and session.step == 20
     assert_the_same(Session.replay(tmp_path / "record", coach), session)
     kinds = [json.loads(line).get("event") for line in (tmp_path / "record").read_text().splitlines()]
-    assert kinds.count("propose") == 61 + 1 and kinds.count("advise") == 60 + 1
+    assert kinds.count("propose") == 21 + 1 and kinds.count("advise") == 20 + 1
+
+
+@pytest.fixture(scope="module")
+def begun(coach, tmp_path_factory):
+    """A session at its first step, and its record."""
+    path = tmp_path_factory.mktemp("begun") / "record"
+    session = Session(coach, record=path)
+    session.propose(PLACE)
+    return session, path
 
 
 @pytest.mark.parametrize(
@@ -298,16 +312,15 @@ def test_several_threads(coach, tmp_path):
         (lambda session: session.advise(1), r"advice has shape \(1,\), this learner takes \(2,\)"),
     ],
 )
-def test_refused(coach, tmp_path, does, message):
+def test_refused(begun, does, message):
     """With nothing changed, and nothing written."""
-    session = Session(coach, record=tmp_path / "record")
-    session.propose(PLACE)
-    before, written = session.state, (tmp_path / "record").read_bytes()
+    session, record = begun
+    before, written = session.state, record.read_bytes()
     with pytest.raises(ValueError, match=message) as refused:
         does(session)
     assert "\n" not in str(refused.value)
     assert_same_bits(session.state, before)
-    assert session.step == 0 and (tmp_path / "record").read_bytes() == written
+    assert session.step == 0 and record.read_bytes() == written
 
 
 def test_nothing_is_said_before_a_step_begins(coach):
@@ -356,17 +369,19 @@ def test_an_action_that_is_no_number(coach):
 @pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 def test_far_out_it_is_what_its_learner_and_its_policy_are(algo):
     """Where squares would be infinite: it acts, proposes, learns and knows its uncertainty."""
-    learner = gpcjax.make_learner(algo, obs_size=2, action_size=1, capacity=8)
-    state, _ = learner.correct(learner.init(), PLACE, [0.0], [1])
-    session, far = Session(learner, state), [1e200, -0.2]
+    given = learner(algo, capacity=8)
+    state, _ = given.correct(given.init(), PLACE, [0.0, 0.0], [1, 1])
+    session, far = Session(given, state), [1e200, -0.2]
     for act in (session.act, session.propose, lambda obs: session.act_at(np.array([obs]).T)[:, 0]):
-        np.testing.assert_array_equal(act(far), learner.act(state, far))
-    np.testing.assert_array_equal(session.policy()(far), learner.act(state, far))
-    np.testing.assert_array_equal(session.uncertainty(), learner.uncertainty(state, far, [0.0]))
-    info = session.advise(1)
-    state, expected = learner.correct(state, far, [0.0], [1])
-    assert info.status == expected.status == 0 and info.rate == expected.rate > 0
-    assert session.act(far) == learner.act(state, far) > 0
+        np.testing.assert_array_equal(act(far), given.act(state, far))
+    np.testing.assert_array_equal(session.policy()(far), given.act(state, far))
+    np.testing.assert_array_equal(session.uncertainty(), given.uncertainty(state, far, [0.0, 0.0]))
+    info = session.advise([1, 1])
+    state, expected = given.correct(state, far, [0.0, 0.0], [1, 1])
+    assert info.status == expected.status == 0 and (info.rate > 0).all()
+    np.testing.assert_array_equal(info.rate, expected.rate)
+    np.testing.assert_array_equal(session.act(far), given.act(state, far))
+    assert (session.act(far) > 0).all()
     np.testing.assert_array_equal(session.obs, [1e60, -0.2])
 
 
@@ -386,17 +401,17 @@ def test_a_strangers_learner(monkeypatch):
 
 def test_the_engine_does_what_a_session_did(tmp_path):
     """A recording as the teacher of a sweep: the same state, with what the learner drew and did by itself."""
-    env, seed = Drift(force=0.0), 5
+    env, seed = Drift(force=0.0, max_steps=14), 5
     given = Restless(obs_size=2, action_size=2)
     path, draw = tmp_path / "record", np.random.default_rng(8)
     session = Session(given, seed=seed, record=path)
     for episode in range(2):
-        at = reset(env, streams.start_key(seed, episode))
+        at = reset(env, start_key(seed, episode))
         while not at.done:
             action = session.propose(at.obs)
-            if draw.random() < 0.4:
+            if draw.random() < 0.5:
                 session.advise(draw.integers(-1, 2, 2))
-            at = advance(env, at, jnp.asarray(action))
+            at = advance(env, at, action)
         session.end_episode()
     session.propose(PLACE)  # what the last step was to bring by itself
     each = start(0, given, described_record(str(path), "teacher").make(), seed)

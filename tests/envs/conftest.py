@@ -32,20 +32,22 @@ def starts() -> Callable[[int], jax.Array]:
     return lambda n: jax.random.split(jax.random.key(2024), n)
 
 
+@eqx.filter_jit
+def returns(env: Env, expert: Callable[[jax.Array], jax.Array], keys: jax.Array) -> jax.Array:
+    """Of one episode from each of `keys`; steps after the end of an episode do not count."""
+
+    def advance(carry: tuple[State, jax.Array], _: None) -> tuple[tuple[State, jax.Array], jax.Array]:
+        state, over = carry
+        action = jax.vmap(expert, in_axes=-1, out_axes=-1)(state.obs)
+        after = jax.vmap(env.step, in_axes=-1, out_axes=-1)(state, action)
+        return (after, over | after.done), jnp.where(over, 0.0, after.reward)
+
+    begun = jax.vmap(env.reset, out_axes=-1)(keys)
+    over = jnp.zeros(keys.shape, bool)
+    return jax.lax.scan(advance, (begun, over), None, env.max_steps)[1].sum(0)
+
+
 @pytest.fixture
 def expert_returns() -> Callable[..., np.ndarray]:
-    """The return of one episode from each of `keys`; steps after the end of an episode do not count."""
-
-    @eqx.filter_jit
-    def run(env: Env, expert: Callable[[jax.Array], jax.Array], keys: jax.Array) -> jax.Array:
-        def advance(carry: tuple[State, jax.Array], _: None) -> tuple[tuple[State, jax.Array], jax.Array]:
-            state, over = carry
-            action = jax.vmap(expert, in_axes=-1, out_axes=-1)(state.obs)
-            after = jax.vmap(env.step, in_axes=-1, out_axes=-1)(state, action)
-            return (after, over | after.done), jnp.where(over, 0.0, after.reward)
-
-        begun = jax.vmap(env.reset, out_axes=-1)(keys)
-        over = jnp.zeros(keys.shape, bool)
-        return jax.lax.scan(advance, (begun, over), None, env.max_steps)[1].sum(0)
-
-    return lambda env, expert, keys: np.asarray(run(env, expert, keys))
+    """The return of one episode from each of some keys."""
+    return lambda env, expert, keys: np.asarray(returns(env, expert, keys))

@@ -54,7 +54,7 @@ def of_brax():
 def actions(made, normaliser, policy, observations):
     """brax's own inference without noise, for each observation; its key is never used."""
     act = networks.make_inference_fn(made)((normaliser, policy), deterministic=True)
-    return jax.vmap(lambda obs: act(obs, jax.random.key(2))[0])(observations)
+    return jax.jit(jax.vmap(lambda obs: act(obs, jax.random.key(2))[0]))(observations)
 
 
 def test_the_network_is_that_of_brax(of_brax, tmp_path):
@@ -62,11 +62,12 @@ def test_the_network_is_that_of_brax(of_brax, tmp_path):
     observations = 3.0 * jax.random.normal(jax.random.key(1), (50, OBS))
     expected = actions(made, normaliser, policy, observations)
     controller = network_of(arrays_of(normaliser, policy))
-    found = jax.vmap(Policy(controller))(observations)
+    found = jax.jit(jax.vmap(Policy(controller)))(observations)
     assert np.abs(expected).max() > 0.9 and np.ptp(np.asarray(expected), axis=0).min() > 0.5
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     save_controller(tmp_path / "saved", controller, {})
-    np.testing.assert_array_equal(jax.vmap(load_policy(tmp_path / "saved"))(observations), found)
+    loaded = jax.jit(jax.vmap(load_policy(tmp_path / "saved")))(observations)
+    np.testing.assert_array_equal(loaded, found)
 
 
 def test_float32_is_close(of_brax):
@@ -77,7 +78,7 @@ def test_float32_is_close(of_brax):
     expected = actions(made, normaliser, policy, observations)
     assert expected.dtype == jnp.float32
     controller = network_of(arrays_of(normaliser, policy))
-    found = jax.vmap(Policy(controller))(observations.astype(float))
+    found = jax.jit(jax.vmap(Policy(controller)))(observations.astype(float))
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6)
 
 

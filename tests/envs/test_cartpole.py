@@ -14,6 +14,8 @@ from gpcjax.envs.cartpole import CartPole
 
 Plant = Callable[..., State]
 
+step = jax.jit(lambda env, state, action: env.step(state, action))
+
 
 class Reference:
     """gymnasium's cart-pole, planted anywhere and pushed by any force."""
@@ -41,8 +43,8 @@ def test_one_step_from_anywhere(reference: Reference, plant: Plant) -> None:
     physics = rng.uniform(-1, 1, (300, 4)) * [2.6, 3.0, 0.24, 3.0]
     actions = np.concatenate([rng.uniform(-1, 1, 200), np.resize([1.0, -1.0, 0.0], 100)])
     env = CartPole()
-    step = lambda p, action: env.step(plant(env, p), action)  # noqa: E731
-    after = jax.tree.map(np.asarray, jax.jit(jax.vmap(step))(physics, actions[:, None]))
+    one = lambda p, action: env.step(plant(env, p), action)  # noqa: E731
+    after = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(physics, actions[:, None]))
     seen = set()
     for i, (start, action) in enumerate(zip(physics, actions, strict=True)):
         reference.plant(start)
@@ -55,22 +57,22 @@ def test_one_step_from_anywhere(reference: Reference, plant: Plant) -> None:
     np.testing.assert_array_equal(after.obs, after.physics)
 
 
-@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4)), 1])
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4)), 0])
 def test_whole_episode(seed: int, reference: Reference, plant: Plant) -> None:
     """Each follows the same noisy law from its own state: open-loop, the pole would amplify rounding without end."""
     rng = np.random.default_rng(seed)
     start = rng.uniform(-0.05, 0.05, 4)
     env = CartPole()
-    step, state = jax.jit(env.step), plant(env, start)
+    state = plant(env, start)
     reference.plant(start)
     expected = start
     for length in range(1, 2000):
-        noise = rng.normal()
+        noise = 3.0 * rng.normal()  # it falls sooner
         actions = [
             float(np.clip(9 * s[2] + 2.4 * s[3] + noise, -1, 1))
             for s in (np.asarray(state.physics), expected)
         ]
-        state = step(state, np.array(actions[:1]))
+        state = step(env, state, np.array(actions[:1]))
         expected, reward, terminated = reference.step(actions[1])
         np.testing.assert_allclose(state.physics, expected, rtol=0, atol=1e-10)
         seen = tuple(map(np.asarray, (state.reward, state.terminated, state.time)))
@@ -85,7 +87,7 @@ def test_action_is_clipped(plant: Plant) -> None:
     env = CartPole()
     state = plant(env, np.zeros(4))
     for wild, legal in ((5.0, 1.0), (-np.inf, -1.0)):
-        got, want = env.step(state, jnp.array([wild])), env.step(state, jnp.array([legal]))
+        got, want = (step(env, state, np.array([action])) for action in (wild, legal))
         np.testing.assert_array_equal(got.physics, want.physics)
 
 
@@ -104,7 +106,7 @@ def test_action_is_clipped(plant: Plant) -> None:
 )
 def test_ends(x: float, theta: float, time: int, terminated: bool, truncated: bool, plant: Plant) -> None:
     env = CartPole()
-    state = env.step(plant(env, np.array([x, 0.0, theta, 0.0]), time), jnp.zeros(1))
+    state = step(env, plant(env, np.array([x, 0.0, theta, 0.0]), time), np.zeros(1))
     assert (state.terminated, state.truncated, state.done) == (terminated, truncated, terminated or truncated)
     assert state.time == time + 1
     assert state.reward == 1
@@ -133,7 +135,7 @@ def test_parameters_are_vmapped(plant: Plant) -> None:
         return env.step(plant(env, physics), jnp.array([0.7])).physics
 
     reference = Reference().env
-    for mass, got in zip(masses, jax.vmap(push)(masses), strict=True):
+    for mass, got in zip(masses, jax.jit(jax.vmap(push))(masses), strict=True):
         reference.reset(seed=0)
         reference.masspole, reference.total_mass = float(mass), 1.0 + float(mass)
         reference.polemass_length, reference.force_mag = 0.5 * float(mass), 7.0

@@ -187,7 +187,7 @@ class TestLanderHeuristic:
 
     def agrees(self, observations: np.ndarray) -> np.ndarray:
         env = gymnasium.make("LunarLander-v3", continuous=True)
-        got = np.stack([self.expert(jnp.asarray(obs)) for obs in observations])
+        got = np.asarray(jax.jit(jax.vmap(LanderHeuristic()))(observations.astype(float)))
         np.testing.assert_allclose(got, [heuristic(env, obs) for obs in observations], atol=1e-5)
         return got
 
@@ -220,9 +220,9 @@ class TestLanderHeuristic:
 def test_evaluate_on_the_host() -> None:
     """The expert lands; each start is that of its seed's first episode, whatever the number of starts."""
     env = lunar_lander()
-    landed = evaluate(env, LanderHeuristic(), starts=20)
-    assert landed.returns.shape == landed.length.shape == (20,)
-    assert landed.returns.mean() > 240 and len(np.unique(landed.returns)) == 20
+    landed = evaluate(env, LanderHeuristic(), starts=10)
+    assert landed.returns.shape == landed.length.shape == (10,)
+    assert landed.returns.mean() > 240 and len(np.unique(landed.returns)) == 10
     fallen = evaluate(env, idle(env), starts=3)
     assert fallen.returns.mean() < -50
     still = [

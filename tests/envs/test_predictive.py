@@ -18,9 +18,8 @@ Starts = Callable[[int], jax.Array]
 
 
 def test_it_balances_from_every_start(expert_returns: Returns, starts: Starts) -> None:
-    for reach in (0.05, 0.15):
-        env = CartPole(start_range=reach, max_steps=1500)
-        np.testing.assert_array_equal(expert_returns(env, CartPoleMPC(), starts(8)), 1500)
+    env = CartPole(start_range=0.15, max_steps=600)
+    np.testing.assert_array_equal(expert_returns(env, CartPoleMPC(), starts(8)), 600)
 
 
 @pytest.mark.slow

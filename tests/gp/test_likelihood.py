@@ -50,9 +50,9 @@ def test_value_and_slope_are_those_of_scikit_learn(smoothness):
     data.points[0, 0, 1] = data.points[0, 0, 0]  # a repeat, where a Matern kernel's root has no slope
     numbers = np.array([0.7, 0.5, 1.5, 0.02])
     points, targets, active = (jnp.asarray(leaf[0, 0]) for leaf in (data.points, data.targets, data.active))
-    value, slope = jax.value_and_grad(
-        lambda logs: log_likelihood(jnp.exp(logs), smoothness, points, targets, active)
-    )(jnp.log(numbers))
+    value, slope = jax.jit(
+        jax.value_and_grad(lambda logs: log_likelihood(jnp.exp(logs), smoothness, points, targets, active))
+    )(np.log(numbers))
     reference = regressor(smoothness, numbers, optimizer=None).fit(*used(data))
     expected, gradient = reference.log_marginal_likelihood(reference.kernel_.theta, eval_gradient=True)
     np.testing.assert_allclose(value, expected, rtol=1e-9)
@@ -98,8 +98,7 @@ class TestOptimum:
             assert summed(moved, (0, 1)) < shared.log_likelihood[0]
 
     def test_an_input_that_does_not_matter_is_told_by_its_bound(self):
-        data = dictionaries(n=32)
-        found = fit_dictionaries(data, SQUARED_EXPONENTIAL, BOUNDS, STARTS[:1])
+        found = fit_dictionaries(dictionaries(), 2.5, BOUNDS, STARTS)
         assert found.at_bound[0].tolist() == [False, False, True, False]
         assert found.length_scales[0, 1] <= BOUNDS[2, 1]
 
@@ -109,11 +108,12 @@ class TestOptimum:
         data.points[0, 0, :12] = data.points[0, 0, 0]
         bounds = BOUNDS.copy()
         bounds[3] = 1e-30, 1.0
-        starts = np.array([[100.0, 10.0, 10.0, 1e-30], STARTS[0]])
-        found = fit_dictionaries(data, 2.5, bounds, starts)
-        np.testing.assert_allclose(found.numbers, fit_dictionaries(data, 2.5, bounds, STARTS[:1]).numbers)
+        bad, good = np.array([[100.0, 10.0, 10.0, 1e-30], STARTS[0]])
+        found = fit_dictionaries(data, 2.5, bounds, np.array([bad, good, bad]))
+        alone = fit_dictionaries(data, 2.5, bounds, np.array([good] * 3))
+        np.testing.assert_allclose(found.numbers, alone.numbers)
         with pytest.raises(ValueError, match="no start has a finite likelihood"):
-            fit_dictionaries(data, 2.5, bounds, starts[:1])
+            fit_dictionaries(data, 2.5, bounds, np.array([bad] * 3))
 
 
 @pytest.mark.parametrize(

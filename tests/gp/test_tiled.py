@@ -8,10 +8,11 @@ import pytest
 from gpcjax.gp import cholesky, tiled
 from gpcjax.gp.kernels import SMOOTHNESSES, Kernel
 from gpcjax.gp.renormalised import Renormalised, _leading_sizes
+from tests.reference import dense
 from tests.trees import assert_close
 
 ROOM, NOISE = 24, 0.01
-SCALE = jnp.array([0.5, 2.0, 1.0])
+SCALE = np.array([0.5, 2.0, 1.0])
 COUNTS = (0, 1, 7, 8, 9, 16, 23, 24)
 
 
@@ -27,22 +28,29 @@ def given(count, smoothness=2.5, seed=0):
     kernel = Kernel(jnp.array(0.8), jnp.array(0.7), smoothness)
     points, vector = rng.normal(size=(ROOM, 3)), rng.normal(size=ROOM)
     points[count:], vector[count:] = 0.0, 0.0
-    gram = np.asarray(kernel.gram(jnp.asarray(points[:count]), SCALE))
+    scaled = points[:count] * SCALE
+    gram = dense.kernel(scaled, scaled, 0.8, 0.7, smoothness)
     return kernel, points, vector, gram + NOISE * np.eye(count)
 
 
-_factor = jax.jit(
-    lambda kernel, points, count, vector: tiled.factor(kernel, points, SCALE, count, jnp.array(NOISE), vector)
-)
+@jax.jit
+def factorised(kernel, points, scale, count, noise, vector):
+    """The factor of so many points, U^-T v and (K + noise I)^-1 v."""
+    factor = tiled.factor(kernel, points, scale, count, noise, vector)
+    return factor.lower(), factor.whitened, factor.solved()
+
+
+def made(kernel, points, count, vector, noise=NOISE):
+    """The same in numpy, with the inputs' own scale."""
+    return map(np.asarray, factorised(kernel, points, SCALE, np.int32(count), np.float64(noise), vector))
 
 
 @pytest.mark.parametrize("smoothness", SMOOTHNESSES)
 def test_it_is_numpys(smoothness):
     for count in COUNTS if smoothness == 2.5 else (23,):
         kernel, points, vector, matrix = given(count, smoothness)
-        factor = _factor(kernel, points, np.int32(count), vector)
+        got, got_whitened, got_solved = made(kernel, points, count, vector)
         lower = np.linalg.cholesky(matrix)
-        got = np.asarray(factor.lower())
         np.testing.assert_allclose(got[:count, :count], lower, atol=1e-14)
         np.testing.assert_array_equal(got[count:], np.eye(ROOM)[count:])
         np.testing.assert_array_equal(got[:, count:], np.eye(ROOM)[:, count:])
@@ -50,20 +58,21 @@ def test_it_is_numpys(smoothness):
         whitened, solved = np.zeros(ROOM), np.zeros(ROOM)
         whitened[:count] = np.linalg.solve(lower, vector[:count])
         solved[:count] = np.linalg.solve(matrix, vector[:count])
-        np.testing.assert_allclose(factor.whitened, whitened, atol=1e-13)
-        np.testing.assert_allclose(factor.solved(), solved, atol=1e-11)
-        assert not np.asarray(factor.solved())[count:].any()
+        np.testing.assert_allclose(got_whitened, whitened, atol=1e-13)
+        np.testing.assert_allclose(got_solved, solved, atol=1e-11)
+        assert not got_solved[count:].any()
+
+
+whiten = jax.jit(tiled.whiten)
 
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_what_is_kept_whitens(count):
     """Where it is among others; what is above the diagonal means nothing."""
     kernel, points, vector, matrix = given(count)
-    lower = _factor(kernel, points, np.int32(count), vector).lower()
-    others = jnp.stack([jnp.full_like(lower, jnp.nan), lower + jnp.triu(jnp.full_like(lower, 1e9), 1)])[
-        :, None
-    ]
-    got = jax.jit(tiled.whiten)(others, (jnp.int32(1), jnp.int32(0)), np.int32(count), vector)
+    lower, _, _ = made(kernel, points, count, vector)
+    others = np.stack([np.full_like(lower, np.nan), lower + np.triu(np.full_like(lower, 1e9), 1)])[:, None]
+    got = whiten(others, (np.int32(1), np.int32(0)), np.int32(count), vector)
     expected = np.zeros(ROOM)
     expected[:count] = np.linalg.solve(np.linalg.cholesky(matrix), vector[:count])
     np.testing.assert_allclose(got, expected, atol=1e-13)
@@ -72,10 +81,11 @@ def test_what_is_kept_whitens(count):
 def test_what_is_no_number_is_none():
     kernel, points, vector, _ = given(9)
     points[3, 1] = np.nan
-    assert not np.isfinite(_factor(kernel, points, np.int32(9), vector).solved()).all()
+    _, _, solved = made(kernel, points, 9, vector)
+    assert not np.isfinite(solved).all()
     kernel, points, vector, _ = given(9)
-    worse = jax.jit(tiled.factor)(kernel, points, SCALE, jnp.int32(9), jnp.array(-0.9), vector)
-    assert np.isnan(worse.whitened).any()  # not positive definite
+    _, whitened, _ = made(kernel, points, 9, vector, -0.9)
+    assert np.isnan(whitened).any()  # not positive definite
 
 
 @pytest.mark.parametrize("keeps_weights", [True, False])
@@ -127,6 +137,13 @@ def test_room():
     assert _leading_sizes(64, False) == (16, 32, 48, 64)
 
 
+@jax.jit
+def by_lapack(gram, noise, vector):
+    """(K + noise I)^-1 v."""
+    lower = cholesky.factor(gram, jnp.ones(len(vector), bool), noise)
+    return cholesky.solve(lower, cholesky.solve(lower, vector), transpose=True)
+
+
 @pytest.mark.parametrize("noise", [1e-6, 1e-10])
 def test_points_upon_each_other_are_as_exact_as_by_lapack(noise):
     """Little noise makes the matrix nearly singular: an inverse of its tiles alone would lose two digits."""
@@ -135,11 +152,9 @@ def test_points_upon_each_other_are_as_exact_as_by_lapack(noise):
     points[:37] = rng.normal(size=(6, 2))[rng.integers(6, size=37)]
     vector = np.zeros(40)
     vector[:37] = rng.normal(size=37)
-    kernel, scale = Kernel(jnp.array(0.8), jnp.array(0.7), np.inf), jnp.ones(2)
-    gram = np.asarray(kernel.gram(jnp.asarray(points[:37]), scale))
-    factor = jax.jit(tiled.factor)(kernel, points, scale, np.int32(37), jnp.array(noise), vector)
-    lower = cholesky.factor(jnp.asarray(gram), jnp.ones(37, bool), jnp.array(noise))
-    by_lapack = cholesky.solve(lower, cholesky.solve(lower, jnp.asarray(vector[:37])), transpose=True)
+    kernel, scale = Kernel(jnp.array(0.8), jnp.array(0.7), np.inf), np.ones(2)
+    gram = dense.kernel(points[:37], points[:37], 0.8, 0.7, np.inf)
+    _, _, by_tiles = factorised(kernel, points, scale, np.int32(37), np.float64(noise), vector)
     # Points that agree share their targets' sum: so the mean there is known, and well determined.
     _, which = np.unique(points[:37], axis=0, return_inverse=True)
     count, total = np.bincount(which.ravel()), np.bincount(which.ravel(), vector[:37])
@@ -147,26 +162,35 @@ def test_points_upon_each_other_are_as_exact_as_by_lapack(noise):
     distinct = gram[np.ix_(first, first)]
     exact = (distinct @ np.linalg.solve(distinct + np.diag(noise / count), total / count))[which.ravel()]
     error, usual = (
-        np.abs(gram @ np.asarray(weights) - exact).max() for weights in (factor.solved()[:37], by_lapack)
+        np.abs(gram @ np.asarray(weights) - exact).max()
+        for weights in (by_tiles[:37], by_lapack(gram, np.float64(noise), vector[:37]))
     )
     assert error < 4 * usual
 
 
-@pytest.mark.parametrize("function", [jax.grad, jax.jacfwd])
-def test_derivatives_are_those_by_lapack(by_tiles, monkeypatch, function):
-    """Of either mode; loops whose length is not known could not be gone through backwards."""
+def uncertainty(noise):
+    """Of a model that has learned two points, and its weights."""
     rng = np.random.default_rng(0)
+    process = Renormalised(Kernel(jnp.array(0.8), jnp.array(0.7), 2.5), noise)
+    posterior = process.init(16, jnp.ones(3))
+    for index, (point, target) in enumerate(zip(rng.normal(size=(2, 3)), rng.normal(size=2), strict=True)):
+        reading = process.read(posterior, (), process.covariances(posterior, jnp.asarray(point)))
+        change = process.put(
+            posterior, (), reading, jnp.asarray(point), jnp.asarray(target), jnp.int32(index), jnp.array(True)
+        )
+        posterior = change.write(posterior, ())
+    return process.uncertainty(posterior, jnp.zeros(3)) + posterior.weights.sum()
 
-    def uncertainty(noise):
-        process = Renormalised(Kernel(jnp.array(0.8), jnp.array(0.7), 2.5), noise)
-        posterior = process.init(16, jnp.ones(3))
-        for index, (point, target) in enumerate(zip(*given_points, strict=True)):
-            reading = process.read(posterior, (), process.covariances(posterior, point))
-            change = process.put(posterior, (), reading, point, target, jnp.int32(index), jnp.array(True))
-            posterior = change.write(posterior, ())
-        return process.uncertainty(posterior, jnp.zeros(3)) + posterior.weights.sum()
 
-    given_points = jnp.asarray(rng.normal(size=(3, 3))), jnp.asarray(rng.normal(size=3))
-    own = jax.jit(function(uncertainty))(0.1)
-    monkeypatch.setattr(tiled, "is_fast", lambda capacity: False)
-    np.testing.assert_allclose(own, jax.jit(function(lambda noise: uncertainty(noise)))(0.1), rtol=1e-9)
+@pytest.fixture(scope="module")
+def slope_by_lapack():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiled, "is_fast", lambda capacity: False)
+        return np.asarray(jax.jit(jax.grad(lambda noise: uncertainty(noise)))(0.1))
+
+
+@pytest.mark.parametrize("function", [jax.grad, jax.jacfwd])
+def test_derivatives_are_those_by_lapack(slope_by_lapack, by_tiles, function):
+    """Of either mode; loops whose length is not known could not be gone through backwards."""
+    own = jax.jit(function(lambda noise: uncertainty(noise)))(0.1)
+    np.testing.assert_allclose(own, slope_by_lapack, rtol=1e-9)

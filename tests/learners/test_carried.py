@@ -1,7 +1,6 @@
 """What a learner has learned, as the state of another one."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -35,6 +34,11 @@ def taught(learner, corrections=20):
 @jax.jit
 def _dense(process, points, query, scale):
     return process.kernel.gram(points, scale), process.kernel.covariances(points, query, scale)
+
+
+@jax.jit
+def _explained(process, posterior, place):
+    return process.explained(posterior, (), process.covariances(posterior, place))
 
 
 def dense_of(*given):
@@ -79,9 +83,9 @@ def test_other_hyperparameters_and_relatives_keep_points_and_targets(algo, targe
         for name, query in (("policy", OBS), ("human", np.append(OBS, ACTION[dimension]))):
             held, process = getattr(state, name), getattr(other, name)
             count = int(held.count[dimension])
-            points, targets = held.points[dimension, :count], held.targets[dimension, :count]
+            points, targets = (np.asarray(leaf)[dimension, :count] for leaf in (held.points, held.targets))
             after = jax.tree.map(
-                lambda leaf, dimension=dimension: jnp.asarray(leaf[dimension]), getattr(got, name)
+                lambda leaf, dimension=dimension: np.asarray(leaf)[dimension], getattr(got, name)
             )
             assert_same_bits((after.points[:count], after.targets[:count]), (points, targets))
             assert after.count == count and not after.points[count:].any()
@@ -99,12 +103,10 @@ def test_computed_anew_is_what_one_point_after_the_other_came_to(on_full):
     learner = learner_of("gpc", capacity=140, on_full=on_full)
     state = taught(learner)
     for process, held in ((learner.policy, state.policy), (learner.human, state.human)):
-        one = jax.tree.map(lambda leaf: leaf[1], held)
+        one = jax.tree.map(lambda leaf: np.asarray(leaf)[1], held)
         again = jax.jit(lambda data, process=process: process.renewed(data))(one)
-        explained = []
-        for posterior in (again, one):
-            k = process.covariances(posterior, jnp.ones(posterior.points.shape[1]))
-            explained.append((process.explained(posterior, (), k), posterior.weights))
+        place = np.ones(one.points.shape[1])
+        explained = [(_explained(process, each, place), each.weights) for each in (again, one)]
         assert_close(*explained, atol=1e-8)
 
 

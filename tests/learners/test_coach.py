@@ -11,6 +11,9 @@ from gpcjax.learners.factory import make_learner
 from gpcjax.policies.grid import Grid
 from tests.trees import assert_close, assert_same_bits
 
+features_at = jax.jit(Grid.features)
+propose = jax.jit(lambda learner, state, obs: learner.controller(state)(obs))
+
 
 def taught(learner, count=10, seed=0):
     rng, state = np.random.default_rng(seed), learner.init()
@@ -52,13 +55,11 @@ def test_the_rate_is_the_change_of_the_action():
     learner = make_learner("coach", "pendulum")
     state, obs, rates = learner.init(), np.array([0.2, -0.4, 1.0]), []
     for _ in range(4):
-        before = learner.controller(state)(jnp.asarray(obs))
+        before = propose(learner, state, obs)
         state, info = learner.correct(state, obs, [0.0], [1])
-        np.testing.assert_allclose(
-            info.rate, learner.controller(state)(jnp.asarray(obs)) - before, rtol=1e-12
-        )
+        np.testing.assert_allclose(info.rate, propose(learner, state, obs) - before, rtol=1e-12)
         rates.append(float(info.rate[0]))
-    features = learner.grid.features(jnp.asarray(obs))
+    features = np.asarray(features_at(learner.grid, obs))
     assert rates[0] == pytest.approx(1.8 * 5.0 * float((features * features).sum()))
     assert rates == sorted(rates) and rates[3] > 1.1 * rates[0]
 
@@ -79,14 +80,15 @@ def test_direct_jitted_and_batched_calls_agree():
     states = [taught(learner, seed=seed) for seed in range(3)]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *states)
     rng = np.random.default_rng(5)
-    obs, h = jnp.asarray(rng.normal(size=(3, 8))), jnp.asarray(rng.choice([-1.0, 0.0, 1.0], size=(3, 2)))
+    obs, h = rng.normal(size=(3, 8)), rng.choice([-1.0, 0.0, 1.0], size=(3, 2))
+    jitted = jax.jit(learner.correct)
     together = jax.jit(jax.vmap(lambda *arguments: learner.correct(*arguments)))(
-        stacked, obs, jnp.zeros((3, 2)), h
+        stacked, obs, np.zeros((3, 2)), h
     )
     for i in range(3):
-        direct = learner.correct(states[i], obs[i], jnp.zeros(2), h[i])
+        direct = learner.correct(states[i], obs[i], np.zeros(2), h[i])
         assert_close(jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], together), direct, 1e-12)
-        assert_close(jax.jit(learner.correct)(states[i], obs[i], jnp.zeros(2), h[i]), direct, 1e-12)
+        assert_close(jitted(states[i], obs[i], np.zeros(2), h[i]), direct, 1e-12)
 
 
 def test_one_trace(monkeypatch):
@@ -111,13 +113,13 @@ class TestGrid:
         centres, width = np.stack(np.meshgrid(*axes, indexing="ij"), -1), np.array([1.0, 1.0, 4.0])
         for obs in np.random.default_rng(6).normal(size=(5, 3)):
             weights = np.exp(-0.5 * (((obs - centres) / width) ** 2).sum(-1))
-            np.testing.assert_allclose(grid.features(jnp.asarray(obs)), weights / weights.sum(), rtol=1e-12)
+            np.testing.assert_allclose(features_at(grid, obs), weights / weights.sum(), rtol=1e-12)
 
     @pytest.mark.parametrize("far", [1e3, 1e8])
     def test_far_outside_they_still_sum_to_one(self, far):
         """The nearest corner takes it all."""
         grid = Grid(lower=jnp.zeros(2), upper=jnp.ones(2), counts=(3, 3))
-        features = grid.features(jnp.array([far, -far]))
+        features = np.asarray(features_at(grid, np.array([far, -far])))
         assert features.sum() == 1.0 and features[2, 0] == 1.0
 
     def test_the_controller_is_the_dot_product_with_lanes_last(self):
@@ -125,11 +127,12 @@ class TestGrid:
         state = taught(learner)
         obs = np.random.default_rng(7).normal(size=(3, 5))
         lanes = jax.tree.map(lambda leaf: jnp.asarray(np.stack([leaf] * 5, -1)), learner.controller(state))
+        policy = np.asarray(state.policy)
         expected = [
-            (state.policy * learner.grid.features(jnp.asarray(each))[None]).sum(tuple(range(1, 4)))
-            for each in obs.T
+            (policy * np.asarray(features_at(learner.grid, each))).sum(tuple(range(1, 4))) for each in obs.T
         ]
-        np.testing.assert_allclose(lanes(jnp.asarray(obs)), np.stack(expected, -1), rtol=1e-12, atol=1e-12)
+        got = jax.jit(lambda lanes, obs: lanes(obs))(lanes, obs)
+        np.testing.assert_allclose(got, np.stack(expected, -1), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("advice", [[0.5], [3], [np.nan]])

@@ -93,6 +93,12 @@ def moment(obs, action):
     return Moment(obs=jnp.asarray(obs), action=jnp.asarray(action), episode=jnp.int32(0), step=jnp.int32(0))
 
 
+@jax.jit
+def minibatch(count, most):
+    """Places in the buffer, drawn with the key of so many corrections."""
+    return jax.random.randint(jax.random.fold_in(jax.random.key(count), count), (5,), 0, most)
+
+
 def test_it_is_what_numpy_makes_of_the_equations(learner, compiled):
     """Beyond the buffer's size: the oldest pair gives way to the newest."""
     state, rng = compiled.init(jax.random.key(7)), np.random.default_rng(0)
@@ -100,9 +106,7 @@ def test_it_is_what_numpy_makes_of_the_equations(learner, compiled):
     for count in range(11):
         obs, action = rng.normal(size=3), rng.uniform(-1, 1, size=2)
         advice = [(1.0, -1.0), (0.0, 1.0), (-1.0, 0.0)][count % 3]
-        drawn = jax.random.randint(
-            jax.random.fold_in(jax.random.key(count), count), (5,), 0, min(count + 1, 4)
-        )
+        drawn = minibatch(count, min(count + 1, 4))
         reference.count = count
         rate = reference.learn(obs, action, np.array(advice), np.asarray(drawn))
         state, info = compiled.learn(state, moment(obs, action), jnp.array(advice), jax.random.key(count))

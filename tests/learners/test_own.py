@@ -175,7 +175,8 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
     try:
         for each in (before, value):
             jax.config.update(name, each)
-            jax.clear_caches()
+            if each is value:
+                jax.clear_caches()
             state = learner.init()
             for _ in range(3):
                 state, _ = learner.correct(state, OBS, [0.0], [1])
@@ -185,8 +186,9 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
     assert_same_bits(*twice)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def session():
+    """Which has learned nothing, before and after each test."""
     return gpcjax.Session(Units(**SIZES))
 
 

@@ -176,8 +176,21 @@ print(repr(float(gpcjax.load_policy(sys.argv[3])([0.3, 0.01])[0])))
 """
 
 
-def test_the_public_functions_save_it_too(tmp_path):
-    """A session of it goes on in another process, to the bit; its policy is loaded there."""
+def here(monkeypatch, capsys, *paths):
+    """What `GO_ON` prints here."""
+    monkeypatch.setattr(sys, "argv", ["", *paths])
+    exec(GO_ON, {})
+    return capsys.readouterr().out
+
+
+def in_another_process(monkeypatch, capsys, *paths):
+    command = [sys.executable, "-c", GO_ON, *paths]
+    return subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True).stdout
+
+
+@pytest.mark.parametrize("go_on", [here, pytest.param(in_another_process, marks=pytest.mark.slow)])
+def test_the_public_functions_save_it_too(tmp_path, monkeypatch, capsys, go_on):
+    """A session of it goes on where it is loaded, to the bit; its policy is loaded there."""
     learner = gpcjax.make_learner(f"{HERE}:Wide", "mountaincar", **OTHERS)
     session = gpcjax.Session(learner)
     for obs in ([0.5, 0.1], [-0.3, 0.0]):
@@ -185,14 +198,8 @@ def test_the_public_functions_save_it_too(tmp_path):
         session.advise([-1])
     session.save(tmp_path / "session")
     gpcjax.save_policy(tmp_path / "policy", learner, session.state)
-    command = [
-        sys.executable,
-        "-c",
-        GO_ON,
-        *(str(tmp_path / name) for name in ("session", "later", "policy")),
-    ]
-    done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
-    assert float(done.stdout) == float(session.policy()([0.3, 0.01])[0])
+    printed = go_on(monkeypatch, capsys, *(str(tmp_path / name) for name in ("session", "later", "policy")))
+    assert float(printed) == float(session.policy()([0.3, 0.01])[0])
     for step in range(3):
         session.propose([0.1 * step, -0.2])
         session.advise([1])

@@ -48,7 +48,7 @@ def learner_of(algo):
 def test_what_is_saved_goes_on_to_the_bit(tmp_path, algo):
     """Also from a state that has grown."""
     learner = learner_of(algo)
-    state = learner.grow(teach(learner, learner.init(), 0, 5))
+    state = learner.resize(teach(learner, learner.init(), 0, 5), 40, 200)
     gpcjax.save_learner(tmp_path / "saved", learner, state, teacher="Ada", score=np.float32(0.5))
     loaded, again = gpcjax.load_learner(tmp_path / "saved")
     assert_same_bits((loaded, again), (learner, state))

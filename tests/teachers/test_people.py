@@ -60,6 +60,8 @@ def advice_of(teacher, memory=(), here=None):
 
 
 about = eqx.filter_jit(lambda teacher, moment: teacher.about(moment))
+may_advise = eqx.filter_jit(lambda teacher, *given: teacher.may_advise(*given))
+chance_of = eqx.filter_jit(lambda teacher, memory, sigma: teacher.recalling(memory).chance(sigma))
 
 
 class TestLateness:
@@ -138,7 +140,7 @@ class TestFading:
         """As rate * exp(-tau * steps), of the steps seen before this one."""
         teacher, memory = person(fading=0.01), remembering(seen + 1)
         chance = 0.3 * np.exp(-0.01 * seen)
-        here = in_lanes(teacher).recalling(memory).chance(jnp.zeros((2, DRAWS)))
+        here = chance_of(in_lanes(teacher), memory, np.zeros((2, DRAWS)))
         np.testing.assert_allclose(here, chance, rtol=1e-12)
         near((advice_of(teacher, memory) != 0).sum(), chance, 2 * DRAWS)
 
@@ -185,7 +187,7 @@ def test_may_advise_refuses_nothing_that_is_given(active_gain):
     sigma = largest * np.random.default_rng(3).random((2, DRAWS))
     sigma[:, :1000] = largest
     here = moment(sigma_human=sigma)
-    may = np.asarray(in_lanes(teacher).may_advise(jnp.asarray(COINS), jnp.full(DRAWS, largest), here.step))
+    may = np.asarray(may_advise(in_lanes(teacher), COINS, np.full(DRAWS, largest), here.step))
     for seen, attending in ((1, True), (5, np.arange(DRAWS) % 2 > 0), (200, True)):
         given = advice_of(teacher, remembering(seen, attending), here) != 0
         assert given.any() and not (given & ~may).any()
@@ -262,16 +264,16 @@ class TestReplay:
         ).T
         expected = np.array([[0, 0], [1, -1], [0, 1], *[[0, 0]] * 7]).T
         lanes = places.shape[1]
-        many = in_lanes(teacher, lanes).during(jnp.asarray(places[0]))
+        many = jax.jit(Replay.during)(in_lanes(teacher, lanes), places[0])
         here = moment(lanes=lanes, episode=places[0], step=places[1])
-        for drawn in (jnp.zeros((2, lanes)), jnp.ones((2, lanes))):
-            np.testing.assert_array_equal(many.advise(drawn, here), expected)
-            np.testing.assert_array_equal(many.may_advise(drawn, jnp.zeros(lanes), here.step), expected != 0)
+        for drawn in (np.zeros((2, lanes)), np.ones((2, lanes))):
+            np.testing.assert_array_equal(jax.jit(Replay.advise)(many, drawn, here), expected)
+            np.testing.assert_array_equal(may_advise(many, drawn, np.zeros(lanes), here.step), expected != 0)
 
         def alone(episode, step):
             return teacher.during(episode).may_advise(jnp.zeros(2), jnp.zeros(()), step)
 
-        np.testing.assert_array_equal(jax.vmap(alone)(*map(jnp.asarray, places)), expected.T != 0)
+        np.testing.assert_array_equal(jax.jit(jax.vmap(alone))(*places), expected.T != 0)
         np.testing.assert_array_equal(many.chance(jnp.zeros((2, 6))), 1.0)
 
     @pytest.mark.parametrize(
