@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 from gpcjax import cli
+from gpcjax.recording import RECORD
 from gpcjax.sweep.reading import read_episodes
+from gpcjax.teach.course import POLICY
 from gpcjax.teach.server import Serving
 from tests.teach.writing import WritesHere, garbage_stays  # noqa: F401
 
@@ -91,7 +93,7 @@ def lesson(tmp_path_factory, garbage_stays):  # noqa: F811
     server = InThread(tmp_path_factory.mktemp("lesson") / "cartpole", "cartpole")
     yield server
     server.end()
-    assert len(read_episodes(server.folder)) > 0
+    assert b'"advise"' in (server.folder / RECORD).read_bytes() and (server.folder / POLICY).is_dir()
     sys.setswitchinterval(before)
 
 
