@@ -34,6 +34,7 @@ class InThread:
     def __init__(self, folder, env):
         self.folder, self._status, made = folder, [], queue.SimpleQueue()
         words = ["teach", "--env", env, "--algo", "coach", "--out", str(folder), "--port", "0"]
+        words += ["--speed", "0.25"]  # nobody holds the pole: it takes a while to fall
 
         class Known(Serving):
             def __init__(self, *words):
