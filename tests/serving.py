@@ -1,13 +1,30 @@
 """A server in a thread of a test."""
 
+import asyncio
 import contextlib
 import http.client
 import threading
+import types
 
+import uvicorn.server
 from websockets.sync.client import connect
 
 LONG = 20.0
 """Seconds until something that should have happened is missing."""
+
+
+class _Sooner(types.ModuleType):
+    """In place of asyncio where uvicorn looks every tenth of a second whether it is to end, and who is still there."""
+
+    def __getattr__(self, name):
+        return getattr(asyncio, name)
+
+    @staticmethod
+    async def sleep(seconds):
+        await asyncio.sleep(seconds / 20)
+
+
+uvicorn.server.asyncio = _Sooner("asyncio")
 
 
 class InThread:

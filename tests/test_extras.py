@@ -51,16 +51,48 @@ def without(hidden, words, folder):
 FIRST = {extra: module for extra, module in reversed(NEEDED)}
 
 
-@pytest.mark.parametrize(
-    ("extra", "module"),
-    [pytest.param(*each, marks=[] if FIRST[each[0]] == each[1] else [pytest.mark.slow]) for each in NEEDED],
-)
-def test_a_missing_extra_is_one_line(extra, module, tmp_path):
+def assert_told(extra, status, out, err, folder):
+    assert (status, out) == (2, "")
+    assert err.startswith("gpcjax: error: ") and err.count("\n") == 1
+    assert f"pip install 'gpcjax[{extra}]'" in err
+    assert not list(folder.iterdir())
+
+
+ALL = """
+import contextlib, io, json, sys
+sys.modules.update(dict.fromkeys({hidden!r}))
+from gpcjax.cli import main
+told = dict()
+for extra, words in {asking!r}.items():
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        status = main(words)
+    told[extra] = status, out.getvalue(), err.getvalue()
+print(json.dumps(told))
+"""
+
+
+def test_missing_extras_are_a_line_each(tmp_path):
+    """One after the other in one process, which has the first module of none."""
+    code = ALL.format(hidden=[*FIRST.values()], asking=ASKING)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    told = json.loads(done.stdout)
+    assert told.keys() == ASKING.keys()
+    for extra, given in told.items():
+        assert_told(extra, *given, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("extra", "module"), NEEDED)
+def test_a_missing_module_is_one_line(extra, module, tmp_path):
     done = without([module], ASKING[extra], tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("gpcjax: error: ") and done.stderr.count("\n") == 1
-    assert f"pip install 'gpcjax[{extra}]'" in done.stderr
-    assert not list(tmp_path.iterdir())
+    assert_told(extra, done.returncode, done.stdout, done.stderr, tmp_path)
 
 
 def test_each_extra_is_known_here_and_in_the_lock():

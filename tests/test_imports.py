@@ -25,41 +25,61 @@ def loaded(code):
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
+def first_heavy(steps):
+    """The first of these statements after which a fresh process has something heavy, and what; None if none has."""
+    code = f"""
+import json, sys
+for step in {steps!r}:
+    try:
+        exec(step)
+    except SystemExit:
+        pass
+    found = sorted({HEAVY!r} & {{name.partition('.')[0] for name in sys.modules}})
+    if found:
+        break
+print(json.dumps([step, found] if found else None))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_importing_loads_nothing_heavy():
+    steps = [
         "import gpcjax",
-        "import gpcjax; dir(gpcjax); gpcjax.__version__; hasattr(gpcjax, 'nothing')",
+        "dir(gpcjax); gpcjax.__version__; hasattr(gpcjax, 'nothing')",
         "import gpcjax.cli, gpcjax.sweep.plan, gpcjax.sweep.runfolder, gpcjax.envs.tasks, gpcjax.learners.descriptions",
-    ],
-)
-def test_importing_loads_nothing_heavy(code):
-    assert not loaded(code) & HEAVY
+    ]
+    assert first_heavy(steps) is None
+    assert first_heavy([*steps, "import numpy"]) == ["import numpy", ["numpy"]]
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--help"],
-        ["sweep", "--help"],
-        ["grid", "--help"],
-        ["reproduce", "--help"],
-        ["reproduce", "--dry-run", "--out", "/tmp/there-is-none"],
-        ["reproduce", "--only", "foo"],
-        ["policy", "export", "--help"],
-        ["policy", "export", "cartpole:gpc", "--to", "java"],
-        ["version"],
-        ["sweep", "--env", "cartpole", "--dry-run", "--out", "/tmp/there-is-none"],
-        ["sweep", "--env", "foo"],
-        ["sweep", "sweeps/none.toml"],
-        ["report", "/tmp/there-is-none"],
-        ["compare", "/tmp/there-is-none", "/tmp/nor-this"],
-    ],
-    ids=" ".join,
-)
-def test_the_command_line_loads_nothing_heavy_until_something_runs(words):
-    code = f"from gpcjax.cli import main\ntry:\n    main({words!r})\nexcept SystemExit:\n    pass"
-    assert not loaded(code) & HEAVY
+COMMANDS = [
+    ["--help"],
+    ["sweep", "--help"],
+    ["grid", "--help"],
+    ["reproduce", "--help"],
+    ["reproduce", "--dry-run", "--out", "/tmp/there-is-none"],
+    ["reproduce", "--only", "foo"],
+    ["policy", "export", "--help"],
+    ["policy", "export", "cartpole:gpc", "--to", "java"],
+    ["version"],
+    ["sweep", "--env", "cartpole", "--dry-run", "--out", "/tmp/there-is-none"],
+    ["sweep", "--env", "foo"],
+    ["sweep", "sweeps/none.toml"],
+    ["report", "/tmp/there-is-none"],
+    ["compare", "/tmp/there-is-none", "/tmp/nor-this"],
+]
+
+
+def test_the_command_line_loads_nothing_heavy_until_something_runs():
+    """One after the other in one process."""
+    assert first_heavy(["from gpcjax.cli import main", *(f"main({words!r})" for words in COMMANDS)]) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_nor_does_one_alone(words):
+    assert first_heavy(["from gpcjax.cli import main", f"main({words!r})"]) is None
 
 
 def test_the_first_name_switches_to_float64_and_starts_no_backend():

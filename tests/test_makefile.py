@@ -1,6 +1,5 @@
 """The Makefile with a recorder in the place of .venv: what it refuses, and which words reach the command line."""
 
-import json
 import os
 import re
 import shutil
@@ -13,17 +12,13 @@ import pytest
 from gpcjax.envs.registry import env_names
 from gpcjax.sweep.options import OPTIONS
 from gpcjax.sweep.spec import as_dict, spec_of
+from tests.called import RECORDER, calls
 
 ROOT = Path(__file__).parents[1]
 VARIABLES = (
     "ENV ERR ALGO SEEDS EPISODES TEACHER ORACLE DELTA RATE SET LP LH CREDIT KEEP START OUT JOBS ENGINE ADDRESS SHARD "
     "SPEC ARGS"
 ).split()
-RECORDER = """#!{python}
-import json, sys
-with open("called", "a") as file:
-    print(json.dumps(sys.argv[1:]), file=file)
-"""
 
 
 @pytest.fixture
@@ -34,7 +29,7 @@ def folder(tmp_path):
         (tmp_path / name).touch()
     python = tmp_path / ".venv" / "bin" / "python"
     python.parent.mkdir(parents=True)
-    python.write_text(RECORDER.format(python=sys.executable))
+    python.write_text(RECORDER)
     python.chmod(0o755)
     for made in (".ready", ".browser", ".docs"):
         (tmp_path / ".venv" / made).touch()
@@ -52,8 +47,7 @@ def make(folder, *words, **environment):
 
 def called(folder):
     """The words of each call of .venv's python."""
-    path = folder / "called"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    return calls(folder / "called")
 
 
 def test_sweep_is_a_thin_line(folder):

@@ -62,7 +62,13 @@ all_settings = pytest.mark.parametrize(
 """Of all at once, one that is let through has the effect that it has alone."""
 
 
-def everything(folder, inputs):
+@pytest.fixture(scope="module")
+def algos(request):
+    """GPC-NS computes with the parts of GPC."""
+    return ("gpc", "coach", *(("gpc-ns",) if request.config.option.both_tiers else ()))
+
+
+def everything(folder, inputs, algos):
     """Of each public name and method that computes: what it gives."""
     env, pendulum = gpcjax.make_env("cartpole", max_steps=5), gpcjax.make_env("pendulum", mass=1.1)
     expert, oracle = gpcjax.make_expert("cartpole", "lqr"), gpcjax.make_oracle("cartpole", "gpc", rate=0.9)
@@ -71,7 +77,7 @@ def everything(folder, inputs):
     yield env, pendulum, oracle.oracle, at, pendulum.step(pendulum.reset(keys[1]), push)
     yield expert(at.obs), oracle.target(at.obs), oracle.advise(keys[2], at.obs, none)
     yield gpcjax.evaluate(env, expert, 2)
-    for algo in ("gpc", "gpc-ns", "coach"):
+    for algo in algos:
         learner = gpcjax.make_learner(algo, "cartpole", **({} if algo == "coach" else {"capacity": 16}))
         state = learner.init()
         for scale in (1.0, -2.0, 0.5):
@@ -84,13 +90,14 @@ def everything(folder, inputs):
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory):
-    return [jax.tree.leaves(each) for each in everything(tmp_path_factory.mktemp("as_ever"), make_inputs())]
+def expected(tmp_path_factory, algos):
+    folder = tmp_path_factory.mktemp("as_ever")
+    return [jax.tree.leaves(each) for each in everything(folder, make_inputs(), algos)]
 
 
 @all_settings
-def test_every_number_is_the_same(inputs, expected, asked, tmp_path):
-    got = [jax.tree.leaves(each) for each in everything(tmp_path, inputs)]
+def test_every_number_is_the_same(inputs, expected, algos, asked, tmp_path):
+    got = [jax.tree.leaves(each) for each in everything(tmp_path, inputs, algos)]
     assert_same_bits(got, expected)
     assert {name: getattr(jax.config, name) for name in asked} == asked
 

@@ -33,6 +33,7 @@ def seeds(out):
     return sorted(set(read_episodes(out)["seed"]))
 
 
+@pytest.mark.usefixtures("figures_unpainted")
 def test_by_fewer_cells_than_shares(tmp_path):
     out = tmp_path / "o"
     for settings in ({"seeds": 4}, {"seeds": "0-4"}, {"seeds": "5-5"}):

@@ -28,6 +28,9 @@ def push(obs):
 """
 
 
+EPISODES = 4
+
+
 @pytest.fixture
 def parcel(tmp_path, monkeypatch):
     """A sweep with an expert of one's own, asked for where that lies; and its only cell."""
@@ -37,7 +40,9 @@ def parcel(tmp_path, monkeypatch):
     (folder / "goal.py").write_text("GOAL = 1.0\n")
     with monkeypatch.context() as there:
         there.chdir(folder)
-        cells = plan(spec_of(env="mountaincar", algo="coach", oracle="ourexpert:push", seeds=1, episodes=20))
+        cells = plan(
+            spec_of(env="mountaincar", algo="coach", oracle="ourexpert:push", seeds=1, episodes=EPISODES)
+        )
         return parcel_of(cells), cells[0]
 
 
@@ -63,7 +68,7 @@ def test_it_computes_with_what_was_sent_and_saves_here(parcel, tmp_path):
     assert not folder.exists() and not alive(process.pid)
     (block,) = (message[1] for message in heard if message[0] == "rows")
     episodes = block.tables["episodes"].to_pydict()
-    assert block.cells == (cell,) and episodes["episode"] == list(range(1, 21))
+    assert block.cells == (cell,) and episodes["episode"] == list(range(1, EPISODES + 1))
     assert set(episodes["status"]) == {"ok"} and block.tables["corrections"].num_rows
     assert not [message for message in heard if message[0] == "note"]
     assert len([message for message in heard if message[0] == "over"]) == 1

@@ -210,11 +210,12 @@ def test_a_lesson_is_taken_by_its_folder(told, tmp_path):
 
 
 def test_a_gif_is_that_of_play(told, capsys):
-    text = told("gif", "mountaincar:pump", "--out", "deep/x.gif", "--seconds", "0.3")
-    assert text.splitlines()[0] == "expert pump" and text.splitlines()[-1].startswith("deep/x.gif: ")
+    policy = shipped_path("pendulum")
+    text = told("gif", policy, "--out", "deep/x.gif", "--seconds", "0.3")
+    assert text.splitlines()[0] == "pendulum" and text.splitlines()[-1].startswith("deep/x.gif: ")
     with Image.open("deep/x.gif") as image:
         assert image.n_frames > 3
-    assert cli.main(["play", "mountaincar:pump", "--gif", "y.gif", "--seconds", "0.3"]) == 0
+    assert cli.main(["play", str(policy), "--gif", "y.gif", "--seconds", "0.3"]) == 0
     assert Path("y.gif").read_bytes() == Path("deep/x.gif").read_bytes()
 
 

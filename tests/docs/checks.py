@@ -9,14 +9,35 @@ from PIL import Image
 from gpcjax.policies.saved import shipped_path
 from gpcjax.sweep.layout import MANIFEST
 from gpcjax.sweep.reading import read_episodes
+from gpcjax.sweep.run import sweep
 from gpcjax.teachers.replay import read_advice
 from tests.docs.pages import ROOT, blocks
 from tests.report.test_compare import folder as study
+from tests.sweep.pretended import Pretended
 
 
-def _before_comparing():
+def _before_comparing(everything):
     for name, given in (("narrow", 0.1), ("wide", 0.4)):
         study(Path("runs", name), given={"policy_length_scale": given})
+
+
+def _before_stores(everything):
+    """The rows that its first block asks for are there, unless all is run: docs/python.md computes such ones."""
+    if not everything:
+        given = {
+            "env": "cartpole",
+            "algo": "coach",
+            "error": [0, 0.2],
+            "seeds": 4,
+            "episodes": 6,
+            "oracle": "lqr",
+        }
+        sweep("runs/small", executor=Pretended()(1), **given)
+
+
+def _after_stores(names, everything):
+    """By its first block nothing was computed that was not asked for."""
+    assert len(names["frame"]) == len(names["episodes"].collect()) == 2 * 4 * (6 if everything else 3)
 
 
 def _after_python(names, everything):
@@ -27,7 +48,7 @@ def _after_python(names, everything):
 
 def _after_keeping(names, everything):
     assert Path("runs", "first", MANIFEST).exists()
-    for name in ("first", "play-corrected", "pump"):
+    for name in ("first", "play-corrected", "pump") if everything else ():
         with Image.open(f"runs/{name}.gif") as image:
             assert image.n_frames > 5
 
@@ -63,7 +84,7 @@ def _after_comparing(names, everything):
     assert {*table} - {"alone.csv"} <= written
 
 
-def _before_policies():
+def _before_policies(everything):
     shutil.copytree(shipped_path("cartpole"), "runs/pole")
 
 
@@ -72,16 +93,23 @@ def _after_policies(names, everything):
     said = [names["action"][0], names["actions"][0, 0]]
     said += [float(names["printed"])] if "printed" in names else []
     assert max(said) - min(said) < 1e-9
+    if not everything:
+        return
     with Image.open("runs/pole.gif") as image:
         assert image.n_frames > 5
 
 
-BEFORE = {"docs/comparing.md": _before_comparing, "docs/policies.md": _before_policies}
+BEFORE = {
+    "docs/comparing.md": _before_comparing,
+    "docs/policies.md": _before_policies,
+    "docs/stores.md": _before_stores,
+}
 AFTER = {
     "docs/comparing.md": _after_comparing,
     "docs/extending.md": _after_extending,
     "docs/keeping.md": _after_keeping,
     "docs/policies.md": _after_policies,
     "docs/python.md": _after_python,
+    "docs/stores.md": _after_stores,
 }
 """By the page; `everything` says that what is slow was run too."""

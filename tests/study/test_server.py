@@ -128,6 +128,12 @@ class Client:
         raise AssertionError
 
 
+@pytest.fixture(autouse=True)
+def seconds_are_short(monkeypatch):
+    """Between two looks at whose time has run out."""
+    monkeypatch.setattr(reception, "SECOND", 0.05)
+
+
 @pytest.fixture
 def make(tmp_path):
     made = []
@@ -404,7 +410,6 @@ def test_a_run_rests_when_another_page_takes_over(running):
 def test_a_seat_that_is_left_is_given_to_others(make, monkeypatch):
     monkeypatch.setattr(sitting, "GRACE", 0.2)
     monkeypatch.setattr(sitting, "AGAIN", 0.1)
-    monkeypatch.setattr(reception, "SECOND", 0.05)
     running = make(places=1)
     one, two = running.client("one"), running.client("two")
     one.to_trial()
@@ -421,8 +426,7 @@ def test_a_seat_that_is_left_is_given_to_others(make, monkeypatch):
     one.until("waiting")
 
 
-def test_what_nobody_watches_rests(make, monkeypatch):
-    monkeypatch.setattr(reception, "SECOND", 0.05)
+def test_what_nobody_watches_rests(make):
     running = make("rest = 0", "rest = 0\nidle = 0.3")
     page = running.client()
     page.to_first_run()

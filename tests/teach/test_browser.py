@@ -1,17 +1,24 @@
 """A real browser: the page teaches, looked at and pressed as a person would, and no more than a person could see."""
 
 import os
+import queue
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
+from gpcjax import cli
+from gpcjax.recording import RECORD
 from gpcjax.sweep.reading import read_episodes
+from gpcjax.teach.course import POLICY
+from gpcjax.teach.server import Serving
+from tests.teach.writing import WritesHere, garbage_stays  # noqa: F401
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
@@ -19,6 +26,37 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debi
 TEACHER = (Path(__file__).parent / "teacher.js").read_text()
 GPCJAX = Path(__file__).parents[2]
 PHASE = "document.documentElement.dataset.phase"
+
+
+class InThread:
+    """`gpcjax teach` in a thread, but for Ctrl-C: most of a process is what it imports."""
+
+    def __init__(self, folder, env):
+        self.folder, self._status, made = folder, [], queue.SimpleQueue()
+        words = ["teach", "--env", env, "--algo", "coach", "--out", str(folder), "--port", "0"]
+        words += ["--speed", "0.25"]  # nobody holds the pole: it takes a while to fall
+
+        class Known(Serving):
+            def __init__(self, *words):
+                super().__init__(*words)
+                made.put(self)
+
+        def teach():
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("gpcjax.teach.run.compute_here", lambda: None)
+                patch.setattr("gpcjax.teach.server.Serving", Known)
+                patch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
+                self._status.append(cli.main(words))
+
+        self._thread = threading.Thread(target=teach, daemon=True)
+        self._thread.start()
+        self._serving = made.get(timeout=60)
+        self.address = self._serving.address
+
+    def end(self):
+        self._serving._server.should_exit = True
+        self._thread.join(120)
+        assert self._status == [0]
 
 
 class Server:
@@ -50,11 +88,14 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def lesson(tmp_path_factory):
-    """One that is taught on from test to test: what a process imports and compiles takes longer than they do."""
-    server = Server(tmp_path_factory.mktemp("lesson") / "cartpole", "cartpole")
+def lesson(tmp_path_factory, garbage_stays):  # noqa: F811
+    """One that is taught on from test to test: what it compiles takes longer than they do."""
+    before = sys.getswitchinterval()
+    server = InThread(tmp_path_factory.mktemp("lesson") / "cartpole", "cartpole")
     yield server
-    assert "goes on with it" in server.end()
+    server.end()
+    assert b'"advise"' in (server.folder / RECORD).read_bytes() and (server.folder / POLICY).is_dir()
+    sys.setswitchinterval(before)
 
 
 @pytest.fixture

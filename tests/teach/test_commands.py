@@ -3,6 +3,8 @@
 import builtins
 import contextlib
 import json
+import re
+import signal
 import sys
 from types import SimpleNamespace
 
@@ -141,6 +143,24 @@ def test_a_course_is_read_as_it_was_written(here):
 def test_a_replay_of_nothing(capsys, here, out):
     (here / "file").write_text("")
     assert "gpcjax teach" in fails(capsys, "replay", out)
+
+
+def test_ctrl_c_is_how_it_ends(capsys, here, monkeypatch):
+    """That is no failure, and what was taught is kept."""
+
+    def interrupted(serving):
+        serving._socket.close()
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("gpcjax.teach.run.Lesson", Lesson)
+    monkeypatch.setattr("gpcjax.teach.server.Serving.run", interrupted)
+    monkeypatch.setattr(sys, "setswitchinterval", lambda seconds: None)
+    assert cli.main(["teach", "--env", "pendulum", "--out", "mine", "--port", "0"]) == 0
+    first, last = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(
+        r"open http://127.0.0.1:\d+/ in a browser; Ctrl-C ends the lesson, mine keeps it", first
+    )
+    assert last == "kept in mine: gpcjax teach --out mine goes on with it"
 
 
 def test_without_the_extra(capsys, monkeypatch):

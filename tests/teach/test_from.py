@@ -235,10 +235,12 @@ def course_of(monkeypatch, tmp_path):
     return asked
 
 
-def saved(path, algo, env, told=True, **options):
+def saved(path, algo, env, told=True, learned=True, **options):
+    """What learned one thing, or nothing, where a test asks for its settings alone."""
     learner = make_learner(algo, env, **options)
-    size = learner.action_size
-    state, _ = learner.correct(learner.init(), np.ones(learner.obs_size), np.zeros(size), np.ones(size))
+    size, state = learner.action_size, learner.init()
+    if learned:
+        state, _ = learner.correct(state, np.ones(learner.obs_size), np.zeros(size), np.ones(size))
     gpcjax.save_learner(path, learner, state, **({"env": env} if told else {}))
     return learner, state
 
@@ -265,7 +267,7 @@ def test_the_learner_that_was_saved_is_taught_by_its_name_with_its_settings(cour
 
 
 def test_what_is_given_beside_counts(course_of, capsys):
-    saved("kept", "gpc", "mountaincar", policy_length_scale=3.0, constant_rate=0.3)
+    saved("kept", "gpc", "mountaincar", learned=False, policy_length_scale=3.0, constant_rate=0.3)
     settings = course_of("--from", "kept", "--static-rate", "0.1", "--policy-length-scale", "2")[0].settings
     assert dict(settings) == {"policy_length_scale": 2.0, "static_rate": 0.1}
     assert not capsys.readouterr().err
@@ -284,7 +286,7 @@ def test_what_is_given_beside_counts(course_of, capsys):
 @pytest.mark.parametrize("algo", built_in("learner"))
 @pytest.mark.parametrize("env", ["cartpole", pytest.param("lunarlander", marks=pytest.mark.slow)])
 def test_usual_settings_are_not_named(algo, env, tmp_path):
-    saved(tmp_path / "kept", algo, env)
+    saved(tmp_path / "kept", algo, env, learned=False)
     assert of_saved(tmp_path / "kept", None, None)[1:] == (env, algo, {})
 
 
@@ -294,11 +296,14 @@ def test_usual_settings_are_not_named(algo, env, tmp_path):
         ("gpc", {"noise": 1e-5, "policy_nu": 2.5}),
         pytest.param("gpc-ns", {"human_noise": 1e-5, "human_variance": 2.0}, marks=pytest.mark.slow),
         ("coach", {"beta": 7.0, "coach_constant": 0.5}),
-        ("d-coach", {"width": 8, "learning_rate": 0.1, "magnitude": 0.5}),
+        (
+            "d-coach",
+            {"width": 8, "learning_rate": 0.1, "magnitude": 0.5, "scaling": (2.0, *[1.0] * 7)},
+        ),
     ],
 )
 def test_its_settings_are_read_from_what_was_saved(algo, options, tmp_path):
-    saved(tmp_path / "kept", algo, "lunarlander", **options)
+    saved(tmp_path / "kept", algo, "lunarlander", learned=False, **options)
     assert of_saved(tmp_path / "kept", None, None).settings == options
 
 
@@ -307,9 +312,9 @@ def test_its_settings_are_read_from_what_was_saved(algo, options, tmp_path):
     [
         ("gpc", {"scaling": (1.0, 1.0)}),
         ("gpc", {"human_scaling": (1.0, 2.0, 3.0), "sparsify": False}),
-        ("gpc-ns", {"scaling": (1.0, 1.0)}),
+        pytest.param("gpc-ns", {"scaling": (1.0, 1.0)}, marks=pytest.mark.slow),
         pytest.param("gpc-ns", {"human_scaling": (1.0, 2.0, 3.0)}, marks=pytest.mark.slow),
-        ("d-coach", {"scaling": (2.0, 2.0)}),
+        pytest.param("d-coach", {"scaling": (2.0, 2.0)}, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_no_number_is_taken_from_what_was_saved(algo, options, course_of, tmp_path):
@@ -347,7 +352,7 @@ def test_what_no_setting_says_is_not_taught_as_something_else(course_of, tmp_pat
 @pytest.mark.parametrize("credit", ["[[0.1], [0.2, 1]]", "1" + "0" * 400])
 def test_a_setting_that_is_no_number_is_told_with_its_folder(credit, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    saved("kept", "gpc", "mountaincar")
+    saved("kept", "gpc", "mountaincar", learned=False)
     card = read_card("kept", "learner")
     card["provenance"]["session"] = {"settings": {"credit": json.loads(credit)}}
     write_folder(tmp_path / "odd", card, read_arrays("kept", card, "learner"))
@@ -377,7 +382,7 @@ def test_variants_are_given_by_flags(course_of):
         "human_scaling": (1.0, 2.0, 3.0),
         "sparsify": False,
     }
-    saved("kept", "gpc", "mountaincar", scaling=(3.0, 4.0), sparsify=False)
+    saved("kept", "gpc", "mountaincar", learned=False, scaling=(3.0, 4.0), sparsify=False)
     course, _ = course_of("--from", "kept", "--scaling", "1,2", "--sparsify")
     assert dict(course.variants) == {"scaling": (1.0, 2.0), "sparsify": True}
 

@@ -14,6 +14,7 @@ from gpcjax.teach.course import DICTIONARY, RECORD, Course
 from gpcjax.teach.lesson import Lesson
 from gpcjax.teach.protocol import Command, Press
 from gpcjax.teach.standing import Options
+from tests.teach.writing import WritesHere, garbage_stays  # noqa: F401
 
 ENV = "tests.teach.drifting:Drift"
 ROOT = Path(__file__).parents[2]
@@ -72,6 +73,15 @@ def held(tmp_path_factory, small_dictionaries):
     yield held
     held.lesson.close()
     assert held.lesson.failure is None
+
+
+@pytest.fixture(scope="module", autouse=True)
+def put_aside_and_given_back(garbage_stays):  # noqa: F811
+    """What each lesson of this module does with what was loaded before."""
+    yield
+    begun = [number for number, what in enumerate(garbage_stays) if what == "freeze"]
+    assert begun and all(garbage_stays[number - 1] == "collect" for number in begun)
+    assert garbage_stays[-1] == "unfreeze" and garbage_stays.count("unfreeze") >= len(begun)
 
 
 @pytest.fixture(autouse=True)
@@ -188,17 +198,9 @@ def test_map(held):
     assert all(drawn["y"] != 9 for drawn in held.messages("map"))
 
 
-class WritesHere:
-    """In place of the process that writes: test_clerk.py has that, and the lesson above."""
-
-    write = staticmethod(lambda kept: kept.write())
-
-    def close(self):
-        pass
-
-
 @pytest.fixture
 def writes_here(monkeypatch):
+    """As the first lesson does not."""
     monkeypatch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
 
 
@@ -221,7 +223,7 @@ def test_saved_and_opened(held, writes_here):
     assert second.name == "taught-2" and (second / "start").is_dir()
 
 
-def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, monkeypatch):
+def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, writes_here, monkeypatch):
     held.ask("step")
     shown = held.wait("frame")["n"]
     held.ask("save", name="before")
