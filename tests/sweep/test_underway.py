@@ -13,7 +13,7 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
-from gpcjax.sweep import machine
+from gpcjax.sweep import checkpointing, machine
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
 from gpcjax.sweep.executors import InProcess
@@ -30,6 +30,8 @@ from tests.sweep.pretended import Pretended
 from tests.sweep.processes import alive, workers_of
 from tests.sweep.test_sweeps import process, wait_for
 from tests.torture.underway import FAULTS, torture
+
+pytestmark = pytest.mark.usefixtures("baselines_once")
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
 COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
@@ -67,6 +69,28 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
     return out
 
 
+class Killed(BaseException):
+    """A process that is no longer there."""
+
+
+def copied_under_way(folder, settings):
+    """The same without a process of its own: what lay on the disk at the moment when it would have been killed."""
+    out, running, write, count = folder / "out", folder / "running", checkpointing.write_folder, []
+
+    def then_copy(*arguments):
+        write(*arguments)
+        count.append(1)
+        if len(count) == 2:
+            shutil.copytree(running, out)
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(checkpointing, "write_folder", then_copy)
+        patch.setattr(checkpointing, "SHARE", 1e9)
+        sweep(running, executor=InProcess(), checkpoint=1e-9, **settings)
+    return out
+
+
 def sweep_on(out, settings):
     """To the end: here, and among the slow tests by workers, who start anew each time."""
     executor = InProcess() if settings is COMPILED else None
@@ -85,7 +109,8 @@ def case(request, tmp_path_factory):
     """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
     settings = request.param
     reference = sweep_on(tmp_path_factory.mktemp("reference") / "out", settings)
-    return settings, reference, killed_under_way(tmp_path_factory.mktemp("killed"), settings | KEEP)
+    stop = copied_under_way if settings is COMPILED else killed_under_way
+    return settings, reference, stop(tmp_path_factory.mktemp("killed"), settings | KEEP)
 
 
 @pytest.fixture
