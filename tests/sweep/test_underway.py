@@ -27,8 +27,7 @@ from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.versions import versions
 from tests.sweep.pretended import Pretended
-from tests.sweep.processes import alive, workers_of
-from tests.sweep.test_sweeps import process, wait_for
+from tests.sweep.processes import alive, process, wait_for, workers_of
 from tests.torture.underway import FAULTS, torture
 
 pytestmark = pytest.mark.usefixtures("baselines_once")
