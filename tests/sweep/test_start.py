@@ -33,7 +33,7 @@ from tests.sweep.folders import begun
 from tests.sweep.pretended import rows
 from tests.sweep.test_underway import assert_same, killed_under_way
 
-pytestmark = pytest.mark.usefixtures("baselines_once")
+pytestmark = pytest.mark.usefixtures("sweeps_here")
 
 SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
 SOURCE = Source("/somewhere/x", "0123456789ab")
