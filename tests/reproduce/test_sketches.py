@@ -1,5 +1,6 @@
 """Figures of made-up records: what is drawn, and that it can be read."""
 
+import functools
 import subprocess
 import sys
 
@@ -114,7 +115,9 @@ the_fullest = pytest.mark.parametrize(
 )
 
 
+@functools.cache
 def drawn(name):
+    """A figure that was painted, its panels and how many there are to be: tests only look at it."""
     draw, record, count = FIGURES[name]
     figure = draw(record()).figure
     FigureCanvasAgg(figure).draw()
