@@ -2,6 +2,7 @@
 
 import functools
 
+import jax
 import pytest
 
 
@@ -9,13 +10,14 @@ import pytest
 def sweeps_here(settings_of_jax, tmp_path_factory):
     """Sweeps that this module runs in its own process measure and trace the same things once.
 
-    Programs are kept for this module alone, as they are compiled here: quickly, which no worker does.
+    Where programs are compiled quickly, which no worker does, they are kept for this module alone.
     """
     from gpcjax.sweep import executables, worker
 
-    folder = tmp_path_factory.mktemp("programs")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worker, "baseline", functools.cache(worker.baseline))
-        patch.setattr(worker, "programs_folder", lambda: folder)
-        patch.setattr(executables, "_IN_A_HURRY", "jax_disable_jit")
+        if jax.config.values["jax_disable_most_optimizations"]:
+            folder = tmp_path_factory.mktemp("programs")
+            patch.setattr(worker, "programs_folder", lambda: folder)
+            patch.setattr(executables, "_IN_A_HURRY", "jax_disable_jit")
         yield
