@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("sweeps_here")
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 6}
 COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 6, "oracle": "lqr", "rate": 0.2}
-DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest"}
+DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest", "delta": 0.01}
 """They do not grow: a program is enough (engine/test_keeping.py has those that do, and goes on with them)."""
 
 KEEP = {"keep": "states", "keep_at": 2}
