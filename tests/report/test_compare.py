@@ -1,5 +1,6 @@
 """Run folders that are compared: which groups are paired, what is said of them, and what is written."""
 
+import functools
 import json
 import re
 
@@ -13,6 +14,7 @@ from gpcjax import cli
 from gpcjax.errors import UserError
 from gpcjax.report import compare_page
 from gpcjax.report.compare import folder_names, usual_out
+from gpcjax.report.figures import style
 from gpcjax.sweep.boxes import usual
 from gpcjax.sweep.layout import part_name, sha256
 from gpcjax.sweep.manifest import write_manifest
@@ -321,7 +323,8 @@ class TestSaved:
         )
         assert not [path for path in tmp_path.iterdir() if path != one]
 
-    def test_one_seed_and_stopped_runs(self, tmp_path):
+    def test_one_seed_and_stopped_runs(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(style, "image", functools.partial(style.image, dpi=20))
         one, other = folder(tmp_path / "a", seeds=1), folder(tmp_path / "b", seeds=1, loss=1.0)
         manifest = json.loads((other / "manifest.json").read_text())
         for path in (other / "episodes").glob("*.parquet"):

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("figures_unpainted")
 
 @pytest.fixture
 def store(out):
-    frame = synthetic.episodes(seeds=3, errors=(0.0,))
+    frame = synthetic.episodes(seeds=3, errors=(0.0,), length=6)
     return synthetic.write(
         out, frame, synthetic.corrections(seeds=3, errors=(0.0,)), synthetic.manifest(frame)
     )
@@ -61,7 +61,7 @@ def test_it_is_drawn_where_anything_differs(store, monkeypatch):
     assert drawn(store, monkeypatch, anew=False)[0]
     page.write_bytes(b"\xff" * 100)
     assert drawn(store, monkeypatch, anew=False)[0]
-    frame = synthetic.episodes(seeds=4, errors=(0.0,))
+    frame = synthetic.episodes(seeds=4, errors=(0.0,), length=6)
     for folder in ("episodes", "corrections"):
         shutil.rmtree(store / folder)
     synthetic.write(store, frame, synthetic.corrections(seeds=4, errors=(0.0,)), synthetic.manifest(frame))

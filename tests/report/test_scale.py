@@ -192,8 +192,8 @@ def test_what_is_called_grows_with_the_points_and_not_with_the_runs():
     small, large, few, many = (
         calls(functools.partial(said, held(**sizes)))
         for sizes in (
-            {"points": 200, "algos": ("gpc", "coach")},
-            {"points": 800, "algos": ("gpc", "coach")},
+            {"points": 100, "algos": ("gpc", "coach")},
+            {"points": 400, "algos": ("gpc", "coach")},
             {"seeds": MANY_RUNS},
             {"seeds": 4 * MANY_RUNS},
         )

@@ -1,6 +1,7 @@
 """Experiments whose results are made of formulas: learning curves as high as a test says, rates as it says."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -71,8 +72,7 @@ def make(
         deltas: distances, if several.
         at: levels with an oracle and a delta, where they are others.
     """
-    points = {algo: [{"delta": delta} for delta in deltas] for algo in levels} if deltas else None
-    frame = synthetic.episodes(env, tuple(levels), errors, seeds, EPISODES, oracles, points)
+    frame = _episodes(env, tuple(levels), tuple(errors), seeds, tuple(oracles), tuple(deltas)).copy()
     idle, best = synthetic.LEVELS[env]
     place = frame["error"].map({error: i for i, error in enumerate(errors)}).to_numpy()
     random = np.random.default_rng(1)
@@ -125,6 +125,13 @@ def table(**changes: Mapping[str, object]) -> dict[str, Experiment]:
         for name, variant in ABLATIONS.items()
         for row in ROWS
     }
+
+
+@functools.cache
+def _episodes(env, algos, errors, seeds, oracles, deltas):
+    """The rows of such runs, before it is said how well they do."""
+    points = {algo: [{"delta": delta} for delta in deltas] for algo in algos} if deltas else None
+    return synthetic.episodes(env, algos, errors, seeds, EPISODES, oracles, points)
 
 
 def _read(frame, slopes, errors, deltas, first_rate):

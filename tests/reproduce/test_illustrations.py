@@ -24,13 +24,13 @@ def fig3_2():
 
 @pytest.fixture(scope="module")
 def taught_cell():
-    """One run of two episodes on the pendulum."""
-    (cell,), (lane,) = probing.taught(2, [0])
+    """One run of an episode on the pendulum."""
+    (cell,), (lane,) = probing.taught(1, [0])
     return cell, lane
 
 
 @pytest.fixture(scope="module")
-def taught_twice(taught_cell):
+def taught_once(taught_cell):
     return taught_cell[1]
 
 
@@ -130,8 +130,8 @@ class TestPlane:
         np.testing.assert_allclose(fig3_3.rate, fig3_3.sigma_policy + fig3_3.sigma_human + 0.01)
 
     def test_it_tells_its_settings(self, fig3_3):
-        assert {"env = pendulum", "error = 0.0", "episodes = 2", "seed = 0"} <= set(fig3_3.settings)
-        assert fig3_3.returns.shape == (2,) and (fig3_3.returns < 0).all()
+        assert {"env = pendulum", "error = 0.0", "episodes = 1", "seed = 0"} <= set(fig3_3.settings)
+        assert fig3_3.returns.shape == (1,) and (fig3_3.returns < 0).all()
 
 
 def test_what_maps_show_is_what_a_correction_meets():
@@ -236,11 +236,11 @@ class TestRepetitions:
                 state, _ = learner.correct(state, obs, [actions[-1]], [-1.0 if place == wrong else 1.0])
             assert expected == len(actions) - 1 - (wrong + 1)
 
-    def test_what_a_taught_learner_holds(self, taught_twice):
-        (rest, elsewhere), (advised, everywhere) = repetitions._over_plane(taught_twice)
+    def test_what_a_taught_learner_holds(self, taught_once):
+        (rest, elsewhere), (advised, everywhere) = repetitions._over_plane(taught_once)
         assert 0 < advised < everywhere <= np.sqrt(0.01 + 1e-7) + 1e-9
         assert max(rest, elsewhere) <= np.sqrt(0.7 + 1e-7) + 1e-9
-        far, near = repetitions._unconverged(taught_twice)
+        far, near = repetitions._unconverged(taught_once)
         assert 0 < far <= np.sqrt(0.7 + 1e-7) + 1e-9 and (np.isnan(near) or near > 0)
 
 

@@ -1,7 +1,16 @@
-"""Processes of this machine, as /proc tells of them."""
+"""Processes of this machine: begun, waited for, and as /proc tells of them."""
 
 import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PATIENCE = 120
+"""Seconds until a process that should have done something is given up."""
 
 
 def workers_of(pid: int) -> list[int]:
@@ -21,3 +30,25 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def wait_for(condition, patience: float = PATIENCE) -> None:
+    deadline = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def process(words, out, env=None):
+    """A process in a group of its own, as the shell makes them, whose workers are killed with it at the end."""
+    with open(out / "stderr", "w") as stderr:
+        running = subprocess.Popen(
+            [sys.executable, *words], cwd=ROOT, stdout=stderr, stderr=stderr, start_new_session=True, env=env
+        )
+    try:
+        yield running
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(running.pid, signal.SIGKILL)
+        running.wait()

@@ -31,10 +31,12 @@ def learned(episodes):
     return [KeptRow(episode, -12.5, "state", card, arrays) for episode in range(1, episodes + 1)]
 
 
-@pytest.mark.parametrize("episodes", [0, 3])
+@pytest.mark.parametrize(
+    "episodes", [250, pytest.param(2000, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)]
+)
 def test_a_card_has_room_for_all_runs_of_an_accelerator(tmp_path, episodes):
     """8,192 lanes, and 64 lanes of which each episode is kept, did not fit into the bytes that a card may have."""
-    kept = [learned(2000 if episodes else 0)] * 64 + [[]] * (len(CELLS) - 64)
+    kept = [learned(episodes)] * 64 + [[]] * (len(CELLS) - 64)
     out = tmp_path / "out"
     card = {"kind": KIND, **AGREE, "runs": runs_as_json((cell, 7) for cell in CELLS)}
     arrays = {"x": np.ones(1), **checkpointing._kept_arrays(kept)}
@@ -66,6 +68,7 @@ def test_what_is_kept_lies_in_several_arrays_where_it_is_long(monkeypatch):
             checkpointing._kept_rows(broken, 3)
     with pytest.raises(ValueError, match="kept is not what"):
         checkpointing._kept_rows(dict(arrays), 2)
+    assert checkpointing._kept_rows(checkpointing._kept_arrays([[], []]), 2) == [[], []]
 
 
 def test_compressed_values():

@@ -147,28 +147,31 @@ def test_what_xla_has_in_its_cache_is_kept_all_the_same(tmp_path):
     assert said == [f"[[4.0, 5.0, 6.0], [2.0, 2.0], 12.0] {found}\n" for found in (False, False, True)]
 
 
+def solved(leaves, given):
+    """With the factor of a matrix, which LAPACK computes."""
+    factor = jax.lax.linalg.cholesky(leaves[0])
+    return [jax.lax.linalg.triangular_solve(factor, given[0], left_side=True, lower=True)], []
+
+
 def test_a_program_that_factorises_does_so_in_a_process_that_has_lowered_nothing(tmp_path):
     script = (
-        "import sys, jax, numpy as np; from pathlib import Path\n"
-        "jax.config.update('jax_enable_x64', True)\n"
+        "import sys, numpy as np; from pathlib import Path\n"
         "from gpcjax.sweep.executables import Executables\n"
-        "kept, matrix = Executables(Path(sys.argv[1])), np.eye(3) * 4.0\n"
-        "def flat(leaves, given):\n"
-        "    factor = jax.lax.linalg.cholesky(leaves[0])\n"
-        "    return [jax.lax.linalg.triangular_solve(factor, given[0], left_side=True, lower=True)], []\n"
-        "found = kept.find('0' * 32)\n"
-        "print(found is not None)\n"
-        "if found is None:\n"
-        "    lowered = jax.jit(flat, keep_unused=True).lower([matrix], [matrix])\n"
-        "    found = kept.compiled('0' * 32, lowered, 1, 1, 0)\n"
+        f"found, matrix = Executables(Path(sys.argv[1])).find({KEY!r}), np.eye(3) * 4.0\n"
         "print(np.asarray(found([matrix], [matrix])[0][0]).tolist())\n"
     )
-    for found in ("False", "True"):
-        done = subprocess.run(
-            [sys.executable, "-c", script, str(tmp_path / "programs")], capture_output=True, text=True
-        )
-        assert done.returncode == 0, f"it ended with {done.returncode}: {done.stderr}"
-        assert done.stdout.split("\n", 1) == [found, f"{(np.eye(3) * 2.0).tolist()}\n"]
+    matrix = np.eye(3) * 4.0
+    with jax.enable_x64(True):
+        lowered = jax.jit(solved, keep_unused=True).lower([matrix], [matrix])
+    Executables(tmp_path / "programs").compiled(KEY, lowered, 1, 1, 0)
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "programs")],
+        env=os.environ | {"JAX_ENABLE_X64": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, f"it ended with {done.returncode}: {done.stderr}"
+    assert done.stdout == f"{(np.eye(3) * 2.0).tolist()}\n"
 
 
 def coach(episodes, kept=None):
@@ -186,8 +189,11 @@ def finish(pool, start):
     return finished[0].lane
 
 
-def test_a_pool_compiles_nothing_that_was_kept_and_comes_to_the_same_bits(tmp_path):
+def test_a_pool_compiles_nothing_that_was_kept_and_comes_to_the_same_bits(
+    tmp_path, monkeypatch, compiled_plainly
+):
     """For any number of episodes that there is room for."""
+    monkeypatch.setattr(executables, "_IN_A_HURRY", "jax_disable_jit")  # these are for nobody else
     pool, start = coach(2, Executables(tmp_path))
     lane = finish(pool, start)
     assert pool.counters.compilations == 2

@@ -260,7 +260,7 @@ def test_one_alone_is_stopped_without_a_word(alone, capfd):
 
     before = signal.signal(signal.SIGALRM, stop)
     try:
-        signal.setitimer(signal.ITIMER_REAL, 1.0)
+        signal.setitimer(signal.ITIMER_REAL, 0.4)
         with pytest.raises(stopping.Stopped):
             alone("print('seed 0', flush=True)\nassert os.getpgrp() == os.getpid()\ntime.sleep(60)")
     finally:

@@ -17,7 +17,7 @@ from gpcjax import cli
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.sweep.tomlfile import LARGEST_FILE
 
-COUNT = 2000
+COUNTS = [800, pytest.param(2000, marks=pytest.mark.slow)]
 """Specifications of each kind, flags and TOML."""
 
 ENVS = ("cartpole", "pendulum", "lunarlander", "mountaincar")
@@ -202,9 +202,10 @@ def as_written(text):
     )
 
 
-def test_flags(outcome):
+@pytest.mark.parametrize("count", COUNTS)
+def test_flags(outcome, count):
     taken = refused = 0
-    for seed in range(COUNT):
+    for seed in range(count):
         words = Drawn(seed).words()
         if "-h" in words or "--help" in words:
             continue
@@ -225,17 +226,18 @@ def test_flags(outcome):
             elif name in WHOLE - {"jobs"}:
                 counted = len(got.seeds) if name == "seeds" else getattr(got, name)
                 assert re.fullmatch(r"\+?[0-9]+", text) and counted == int(text)
-    assert taken > COUNT / 20 and refused > COUNT / 4
+    assert taken > count / 20 and refused > count / 4
 
 
-def test_files(outcome):
+@pytest.mark.parametrize("count", COUNTS)
+def test_files(outcome, count):
     taken = refused = 0
-    for seed in range(COUNT):
+    for seed in range(count):
         draw = Drawn(10_000 + seed)
         Path("a.toml").write_text(draw.toml(), errors="surrogatepass")
         got = outcome("a.toml", *draw.random.choice(([], [], ["--quick"])))
         taken, refused = (taken, refused + 1) if isinstance(got, str) else (taken + 1, refused)
-    assert taken > COUNT / 20 and refused > COUNT / 4
+    assert taken > count / 20 and refused > count / 4
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from gpcjax.errors import UserError
-from gpcjax.sweep import growth, origin
+from gpcjax.sweep import growth, origin, store
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.growth import covering, grown, hashes
 from gpcjax.sweep.layout import GROWN
@@ -254,23 +254,24 @@ def test_so_it_knows_what_of_its_runs_is_kept(tmp_path, monkeypatch):
     assert len(load(tmp_path)) == 8 * 3 and len(read_kept(tmp_path)) == 8
 
 
-def test_parts_of_many_requests_are_put_together(tmp_path, pretended):
+def test_parts_of_many_requests_are_put_together(tmp_path, pretended, monkeypatch):
     """And say all that was asked for, each request in one of them; so no part grows with the number of requests."""
+    monkeypatch.setattr(store, "TOGETHER", 4)  # which so few of them have, too: parts of parts
     requests = [
-        {"algo": "gpc", "seeds": f"{number}-{number}", "noise": 0.1 + number / 100} for number in range(70)
+        {"algo": "gpc", "seeds": f"{number}-{number}", "noise": 0.1 + number / 100} for number in range(18)
     ]
-    assert sum(grow(tmp_path, pretended, *requests)) == 70
+    assert sum(grow(tmp_path, pretended, *requests)) == 18
     assert grow(tmp_path, pretended, {"algo": "coach"}, {"algo": "coach", "error": 0.5}) == [2, 2]
-    assert len(list((tmp_path / "episodes").iterdir())) < 20
+    assert len(list((tmp_path / "episodes").iterdir())) < 8
     before, rows = read_manifest(tmp_path), read_episodes(tmp_path)
-    assert len(rows) == 74 * 3 and len(read_corrections(tmp_path)) == 74 * 2
+    assert len(rows) == 22 * 3 and len(read_corrections(tmp_path)) == 22 * 2
     gpc = rows[rows["algo"] == "gpc"].drop_duplicates("seed")
     assert (
         np.array_equal(gpc["noise"], 0.1 + gpc["seed"] / 100)
         and rows[rows["algo"] == "coach"]["noise"].isna().all()
     )
     named = [each.named for each in origins_of(tmp_path)]
-    assert sum(map(len, named)) < 2 * 72 and {*itertools.chain(*named)} == {*hashes(before)}
+    assert sum(map(len, named)) < 2 * 20 and {*itertools.chain(*named)} == {*hashes(before)}
     (tmp_path / "manifest.json").unlink()
     assert grow(tmp_path, pretended, requests[3]) == [0]
     after = read_manifest(tmp_path)
@@ -279,7 +280,7 @@ def test_parts_of_many_requests_are_put_together(tmp_path, pretended):
     # A setting that begins to vary has the value that it had, of each request that a part has rows of.
     assert grow(tmp_path, pretended, requests[0] | {"rate": 0.5}) == [1]
     rates = load(tmp_path).drop_duplicates(["algo", "error", "seed", "rate", "noise"])["rate"]
-    assert rates.value_counts().to_dict() == {0.05: 74, 0.5: 1}
+    assert rates.value_counts().to_dict() == {0.05: 22, 0.5: 1}
 
 
 def test_what_several_requests_have_asked_for_together_is_nothing_new(tmp_path, pretended, capsys):

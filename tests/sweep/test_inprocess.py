@@ -1,17 +1,13 @@
 """Executors other than processes: the same bits, and a line where they would not be."""
 
 import os
-import subprocess
-import sys
 
-import pandas as pd
 import pytest
 
 from gpcjax.errors import Failure, UserError
-from gpcjax.sweep.environment import computing_environment, worker_environment
+from gpcjax.sweep.environment import computing_environment
 from gpcjax.sweep.executors import Desk, Executor, InProcess, Processes
 from gpcjax.sweep.plan import plan
-from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.worker import work
@@ -25,22 +21,6 @@ SETTINGS = {
     "oracle": "lqr",
     "rate": 0.2,
 }
-SCRIPT = f"""
-from pathlib import Path
-from gpcjax.sweep.executors import InProcess
-from gpcjax.sweep.run import sweep
-from tests.sweep.threads import Threads
-sweep("inprocess", executor=InProcess(), **{SETTINGS!r})
-sweep("threads", executor=Threads(2), **{SETTINGS!r})
-"""
-
-
-def test_the_rows_of_every_executor_are_the_same_bits(tmp_path):
-    expected = sweep(tmp_path / "processes", jobs=1, **SETTINGS)
-    subprocess.run([sys.executable, "-c", SCRIPT], env=worker_environment(), cwd=tmp_path, check=True)
-    for name in ("inprocess", "threads"):
-        for read in (read_episodes, read_corrections):
-            pd.testing.assert_frame_equal(read(tmp_path / name), read(expected), check_exact=True)
 
 
 def test_a_process_that_computes_otherwise_is_refused(tmp_path, monkeypatch):

@@ -11,6 +11,8 @@ from gpcjax.sweep.run import sweep
 from tests.sweep.test_sweeps import kill_and_resume
 
 SETTINGS = {"env": "lunarlander", "algo": ["gpc", "coach"], "seeds": 2, "episodes": 2}
+STARTS = 3
+"""That baselines are of, where they are not what is tested."""
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,7 @@ def reference(request, tmp_path_factory):
         return request.getfixturevalue("both")
     out = tmp_path_factory.mktemp("coach") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(worker, "BASELINE_STARTS", 10)
+        patch.setattr(worker, "BASELINE_STARTS", STARTS)
         return sweep(out, executor=InProcess(), **SETTINGS | {"algo": "coach"})
 
 
@@ -52,7 +54,7 @@ def test_the_manifest(reference):
     assert manifest["complete"] and manifest["specification"]["max_capacity"] == 4096
     assert manifest["env_steps"] == read_episodes(reference)["length"].sum()
     idle, oracle = manifest["baselines"]["idle"], manifest["baselines"]["oracles"]["heuristic"]
-    starts = 10 if "gpc" not in manifest["specification"]["algo"] else worker.BASELINE_STARTS
+    starts = STARTS if "gpc" not in manifest["specification"]["algo"] else worker.BASELINE_STARTS
     assert idle["n"] == oracle["n"] == starts and idle["mean"] < -100 and oracle["mean"] > 200
 
 

@@ -13,7 +13,7 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.errors import UserError
-from gpcjax.sweep import sealing
+from gpcjax.sweep import sealing, worker
 from gpcjax.sweep.checkpoints import cell_as_json, cell_of
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.growth import contradictions
@@ -32,6 +32,8 @@ from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun
 from tests.sweep.pretended import rows
 from tests.sweep.test_underway import assert_same, killed_under_way
+
+pytestmark = pytest.mark.usefixtures("sweeps_here")
 
 SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
 SOURCE = Source("/somewhere/x", "0123456789ab")
@@ -274,7 +276,10 @@ def test_a_learner_of_ones_own_goes_on_too(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path, compiled_as_shipped):
+def test_one_that_was_killed_goes_on_to_the_same_bits(source, tmp_path, compiled_as_shipped, monkeypatch):
+    monkeypatch.setattr(
+        worker, "programs_folder", lambda: tmp_path / "programs"
+    )  # not as the others have them
     settings = SETTINGS | {"episodes": 12, "keep": "states", "start": str(source)}
     reference = sweep(tmp_path / "reference", executor=InProcess(), checkpoint=0, **settings)
     out = killed_under_way(tmp_path, settings)

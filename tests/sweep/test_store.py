@@ -307,19 +307,27 @@ class TestDamage:
         assert seen == [(0, 0), (0, 0), (0, 0), (3, 2), (3, 2), (3, 2), (3, 2), (6, 4)]
 
 
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """As an older version left it, with a cell still missing; and the rows of all."""
+    folder = tmp_path_factory.mktemp("left")
+    whole = folder / "whole"
+    for cell in plan(SPEC):
+        filled(whole, cells=[cell])
+    out = torture.unsealed(folder / "old", whole)
+    for name in ("episodes", "corrections"):
+        max((out / name).iterdir()).unlink()
+    return folder
+
+
 class TestFormat2:
     """Stores without sums are read, checked as far as that goes, and continued."""
 
     @pytest.fixture
-    def old(self, tmp_path):
-        """As an older version left it, with a cell still missing; and the rows of all."""
-        whole = tmp_path / "whole"
-        for cell in plan(SPEC):
-            filled(whole, cells=[cell])
-        out = torture.unsealed(tmp_path / "old", whole)
-        for folder in ("episodes", "corrections"):
-            max((out / folder).iterdir()).unlink()
-        return out, whole
+    def old(self, left, tmp_path):
+        """A copy of both."""
+        shutil.copytree(left, tmp_path, dirs_exist_ok=True)
+        return tmp_path / "old", tmp_path / "whole"
 
     def test_it_goes_on(self, old):
         out, whole = old

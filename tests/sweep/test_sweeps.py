@@ -1,6 +1,5 @@
 """Small real sweeps: a cell's rows are the same bits however they came about."""
 
-import contextlib
 import json
 import os
 import signal
@@ -21,15 +20,15 @@ from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.build import start_of
+from gpcjax.sweep.environment import worker_environment
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from tests.golden import CASES, differences, incomparable
-from tests.sweep.processes import alive, workers_of
+from tests.sweep.processes import PATIENCE, ROOT, alive, process, wait_for, workers_of
 
-ROOT = Path(__file__).parents[2]
 TWO = CASES["swept"]
 """With dictionaries that do not grow: a program of each learner is enough."""
 SETTINGS = TWO | {"algo": ["gpc", "gpc-ns", "coach"]}
@@ -50,8 +49,6 @@ GOLDEN = {
         "length": 85,
     },
 }  # fmt: skip
-PATIENCE = 120
-"""Seconds until a process that should have done something is given up."""
 
 
 @pytest.fixture(scope="module")
@@ -78,28 +75,6 @@ def assert_the_same_rows(got: Path, expected: Path, query: str = "seed >= 0") ->
     for read in (read_episodes, read_corrections):
         frame = read(expected).query(query).reset_index(drop=True)
         pd.testing.assert_frame_equal(read(got), frame, check_exact=True)
-
-
-def wait_for(condition, patience: float = PATIENCE) -> None:
-    deadline = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-@contextlib.contextmanager
-def process(words, out, env=None):
-    """A process in a group of its own, as the shell makes them, whose workers are killed with it at the end."""
-    with open(out / "stderr", "w") as stderr:
-        running = subprocess.Popen(
-            [sys.executable, *words], cwd=ROOT, stdout=stderr, stderr=stderr, start_new_session=True, env=env
-        )
-    try:
-        yield running
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(running.pid, signal.SIGKILL)
-        running.wait()
 
 
 def kill_and_resume(
@@ -278,6 +253,22 @@ def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
 
 def test_killed_and_resumed(two_learners, tmp_path):
     kill_and_resume(TWO, two_learners, tmp_path)
+
+
+def test_the_rows_of_every_executor_are_the_same_bits(two_learners, tmp_path):
+    settings = COACH | {"error": 0.0}
+    script = f"""
+from gpcjax.sweep import worker
+from gpcjax.sweep.executors import InProcess
+from gpcjax.sweep.run import sweep
+from tests.sweep.threads import Threads
+worker.baseline = lambda env, name: dict(mean=0.0, std=1.0, n=2)  # which are no rows
+sweep("inprocess", executor=InProcess(), **{settings!r})
+sweep("threads", executor=Threads(2), **{settings!r})
+"""
+    subprocess.run([sys.executable, "-c", script], env=worker_environment(), cwd=tmp_path, check=True)
+    for name in ("inprocess", "threads"):
+        assert_the_same_rows(tmp_path / name, two_learners, "algo == 'coach' and error == 0")
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
-from gpcjax.sweep import machine
+from gpcjax.sweep import checkpointing, machine
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
 from gpcjax.sweep.executors import InProcess
@@ -27,16 +27,17 @@ from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.versions import versions
 from tests.sweep.pretended import Pretended
-from tests.sweep.processes import alive, workers_of
-from tests.sweep.test_sweeps import process, wait_for
+from tests.sweep.processes import alive, process, wait_for, workers_of
 from tests.torture.underway import FAULTS, torture
 
-HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 12}
-COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 12, "oracle": "lqr", "rate": 0.2}
-DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest"}
+pytestmark = pytest.mark.usefixtures("sweeps_here")
+
+HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 6}
+COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 6, "oracle": "lqr", "rate": 0.2}
+DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest", "delta": 0.01}
 """They do not grow: a program is enough (engine/test_keeping.py has those that do, and goes on with them)."""
 
-KEEP = {"keep": "states", "keep_at": 4}
+KEEP = {"keep": "states", "keep_at": 2}
 
 
 def killed_under_way(folder, settings):
@@ -67,6 +68,28 @@ sweep({str(out)!r}, executor=InProcess(), checkpoint=1e-9, **{settings!r})
     return out
 
 
+class Killed(BaseException):
+    """A process that is no longer there."""
+
+
+def copied_under_way(folder, settings):
+    """The same without a process of its own: what lay on the disk at the moment when it would have been killed."""
+    out, running, write, count = folder / "out", folder / "running", checkpointing.write_folder, []
+
+    def then_copy(*arguments):
+        write(*arguments)
+        count.append(1)
+        if len(count) == 2:
+            shutil.copytree(running, out)
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(checkpointing, "write_folder", then_copy)
+        patch.setattr(checkpointing, "SHARE", 1e9)
+        sweep(running, executor=InProcess(), checkpoint=1e-9, **settings)
+    return out
+
+
 def sweep_on(out, settings):
     """To the end: here, and among the slow tests by workers, who start anew each time."""
     executor = InProcess() if settings is COMPILED else None
@@ -85,7 +108,8 @@ def case(request, tmp_path_factory):
     """Settings, a sweep that was never interrupted, and a folder whose runs were under way when it was killed."""
     settings = request.param
     reference = sweep_on(tmp_path_factory.mktemp("reference") / "out", settings)
-    return settings, reference, killed_under_way(tmp_path_factory.mktemp("killed"), settings | KEEP)
+    stop = copied_under_way if settings is COMPILED else killed_under_way
+    return settings, reference, stop(tmp_path_factory.mktemp("killed"), settings | KEEP)
 
 
 @pytest.fixture
@@ -182,7 +206,7 @@ def test_what_is_not_ours_stays(case, killed):
 def test_policies_and_states(case):
     settings, reference, _ = case
     policies, states = load_policies(reference), load_states(reference)
-    assert policies["episode"].tolist() == states["episode"].tolist() == [4, 8, 12] * settings["seeds"]
+    assert policies["episode"].tolist() == states["episode"].tolist() == [2, 4, 6] * settings["seeds"]
     rows = read_episodes(reference).set_index(["seed", "episode"])["return"]
     assert [rows[key] for key in zip(policies["seed"], policies["episode"], strict=True)] == policies[
         "return"
@@ -196,24 +220,9 @@ def test_policies_and_states(case):
         _, info = learner.correct(state, obs, policy(obs), np.ones(learner.action_size))
         assert int(info.status) == 0
     assert len({np.asarray(policy(obs)).tobytes() for policy in policies["policy"]}) == len(policies)
-    assert load_policies(reference, seed=1, episode=[4, 12])["episode"].tolist() == [4, 12]
+    assert load_policies(reference, seed=1, episode=[2, 6])["episode"].tolist() == [2, 6]
     with pytest.raises(ValueError, match=r"'sead' is no column \(did you mean seed\?\)"):
         load_policies(reference, sead=1)
-
-
-def test_nothing_was_kept(tmp_path):
-    settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 3}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_module, "Processes", Pretended())
-        out = sweep(tmp_path / "out", **settings)
-    with pytest.raises(ValueError, match="no policies were kept there, give --keep policies"):
-        gpcjax.load_policies(out)
-    settings |= {"oracle": "lqr", "executor": InProcess()}
-    sweep(tmp_path / "kept", keep="policies", keep_at="best", **settings)
-    (episode,) = load_policies(tmp_path / "kept")["episode"]
-    assert episode == 1 + read_episodes(tmp_path / "kept")["return"].argmax()
-    with pytest.raises(ValueError, match="no states were kept there"):
-        load_states(tmp_path / "kept")
 
 
 @pytest.mark.parametrize(
@@ -267,6 +276,21 @@ def test_packed_arrays_are_what_they_were():
     for changed in (content + b"x", content[:-1]):
         with pytest.raises(ValueError):
             unpacked(card, changed)
+
+
+def test_nothing_was_kept(tmp_path, compiled_plainly):
+    settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 3}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_module, "Processes", Pretended())
+        out = sweep(tmp_path / "out", **settings)
+    with pytest.raises(ValueError, match="no policies were kept there, give --keep policies"):
+        gpcjax.load_policies(out)
+    settings |= {"oracle": "lqr", "executor": InProcess()}
+    sweep(tmp_path / "kept", keep="policies", keep_at="best", **settings)
+    (episode,) = load_policies(tmp_path / "kept")["episode"]
+    assert episode == 1 + read_episodes(tmp_path / "kept")["return"].argmax()
+    with pytest.raises(ValueError, match="no states were kept there"):
+        load_states(tmp_path / "kept")
 
 
 def test_no_worker_outlives_its_parent(tmp_path):

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import math
 import os
 
@@ -28,9 +29,10 @@ from tests.sweep.pretended import Pretended, rows
 TASK = find("task", "pendulum")
 
 
-def learned(algo, corrections, **options):
+@functools.cache
+def learned(algo, corrections):
     """A learner and what it learned from advice that only the first number of an observation tells."""
-    learner = make_learner(algo, "pendulum", capacity=16, sparsify=False, **options)
+    learner = make_learner(algo, "pendulum", capacity=16, sparsify=False)
     random, state = np.random.default_rng(corrections), learner.init()
     for _ in range(corrections):
         obs = random.normal(size=3)

@@ -1,5 +1,7 @@
 """A search from its words to its page: the runs follow a formula, all else is real."""
 
+import contextlib
+import io
 import json
 import re
 import shlex
@@ -7,6 +9,8 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 import pytest
@@ -61,28 +65,58 @@ def table(folder):
     return pd.read_csv(folder / "tune.csv")
 
 
+class Searched(NamedTuple):
+    """A search that ended: its folder, what was said, and how many runs were scored at a time."""
+
+    folder: Path
+    out: str
+    err: str
+    scored: list[int]
+
+
+def searched_in(folder):
+    """By six trials, with the command."""
+    counts, gather = [], searching.gather
+
+    def counted(episodes, manifest):
+        counts.append(len(episodes.seeds))
+        return gather(episodes, manifest)
+
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(searching, "gather", counted)
+        patch.setattr(carrying_out, "Processes", lambda jobs: Landscape())
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            assert cli.main([*WORDS, *SEARCH, "--trials", "6"]) == 0
+    return Searched(folder / "o", out.getvalue(), err.getvalue(), counts)
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """It is not painted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "image", lambda figure, kind: kind.encode())
+        return searched_in(tmp_path_factory.mktemp("searched"))
+
+
 @pytest.mark.parametrize("painted", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_from_words_to_the_page(workers, tmp_path, capsys, monkeypatch, painted):
-    if painted:
-        monkeypatch.undo()
-        monkeypatch.chdir(tmp_path)
-        workers(Landscape())
-    assert cli.main([*WORDS, *SEARCH, "--trials", "10"]) == 0
-    printed = capsys.readouterr()
-    assert "trials 0 to 3 of 10" in printed.err and "trials 8 to 9 of 10, best area so far" in printed.err
-    assert "area, tuned minus usual, on seeds 100-102: " in printed.out
-    found = table(tmp_path / "o")
-    assert len(found) == 10 and list(found["area"]) == sorted(found["area"], reverse=True)
+def test_from_words_to_the_page(tmp_path, request, painted):
+    folder, out, err, _ = searched_in(tmp_path) if painted else request.getfixturevalue("searched")
+    assert "trials 0 to 3 of 6" in err and "trials 4 to 5 of 6, best area so far" in err
+    assert "area, tuned minus usual, on seeds 100-102: " in out
+    found = table(folder)
+    assert len(found) == 6 and list(found["area"]) == sorted(found["area"], reverse=True)
     assert (found["runs"] == 2).all() and found["tied"].iloc[0]
-    best = tuned(tmp_path / "o")
+    best = tuned(folder)
     # Older versions of pandas read a number to its last bit but one.
     first = found["policy_length_scale"][0]
     assert best.hyperparameters["policy_length_scale"] == pytest.approx((first,), rel=1e-15)
     assert str(best.seeds) == "100-102" and best.episodes == 3
-    page = (tmp_path / "o" / "tune.html").read_text()
+    page = (folder / "tune.html").read_text()
     assert "GPC on Cart-pole, tuned" in page and "no difference shown" not in page
     for name in ("tune.png", "study.db", "search/report.html", "check/comparison.html"):
-        assert (tmp_path / "o" / name).stat().st_size > 0
+        assert (folder / name).stat().st_size > 0
 
 
 @pytest.mark.parametrize(
@@ -113,17 +147,9 @@ def test_stopped_anywhere_it_goes_on_to_the_same(workers, tmp_path, capsys, rung
     assert tuned(tmp_path / "o") == best
 
 
-def test_points_are_scored_once(workers, monkeypatch):
+def test_points_are_scored_once(searched):
     """There are ever more of them in a folder."""
-    counts, gather = [], searching.gather
-
-    def counted(episodes, manifest):
-        counts.append(len(episodes.seeds))
-        return gather(episodes, manifest)
-
-    monkeypatch.setattr(searching, "gather", counted)
-    assert cli.main([*WORDS, *SEARCH, "--trials", "12"]) == 0
-    assert counts == [4 * 2] * 3
+    assert searched.scored == [4 * 2, 2 * 2]
 
 
 def test_halving_runs_fewer_cells_and_tells_of_all(workers, tmp_path, capsys):
@@ -250,12 +276,12 @@ def test_what_a_fit_needs_is_refused_before_anything_runs(workers, tmp_path, cap
     assert cli.main(["tune", "--method", "mll", "--runs", "kept", "--dry-run", "--out", "o"]) == 0
 
 
-def test_a_folder_holds_one_search(workers, tmp_path, capsys):
-    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 0
-    assert cli.main([*WORDS, *SEARCH, "--trials", "4"]) == 0  # more of the same
-    assert len(table(tmp_path / "o")) == 4
+def test_a_folder_holds_one_search(searched, workers, tmp_path, capsys):
+    shutil.copytree(searched.folder, tmp_path / "o")
+    assert cli.main([*WORDS, *SEARCH, "--trials", "7"]) == 0  # more of the same
+    assert len(table(tmp_path / "o")) == 7
     capsys.readouterr()
-    assert cli.main([*WORDS, *SEARCH, "--trials", "4", "--objective", "final_return"]) == 2
+    assert cli.main([*WORDS, *SEARCH, "--trials", "7", "--objective", "final_return"]) == 2
     assert "o: it holds another search (objectives ['area'], not ['final_return'])" in capsys.readouterr().err
 
 
@@ -295,13 +321,15 @@ def test_another_best_or_other_seeds_are_judged_alone(workers, tmp_path, capsys)
         return told, pd.read_csv(tmp_path / out / "check" / "comparison.csv")
 
     first, _ = judged("o", "2", "100-102")
-    later, numbers = judged("o", "12", "200-201")
+    best = tuned(tmp_path / "o").hyperparameters
+    later, numbers = judged("o", "6", "200-201")
+    assert tuned(tmp_path / "o").hyperparameters != best
     held = gpcjax.load(tmp_path / "o" / "check" / "tuned")
     assert set(held["seed"]) == {100, 101, 102, 200, 201}
     command = "gpcjax compare"  # which would compare all that is there
     assert command not in (tmp_path / "o" / "tune.html").read_text()
     shutil.rmtree(tmp_path / "o" / "check")
-    fresh, expected = judged("o", "12", "200-201")
+    fresh, expected = judged("o", "6", "200-201")
     assert command in (tmp_path / "o" / "tune.html").read_text()
     assert later == fresh != first and len(later) >= 3 and "on seeds 200-201" in "".join(later)
     pd.testing.assert_frame_equal(numbers, expected)
@@ -323,7 +351,7 @@ def test_killed_before_it_said_what_it_is(workers, tmp_path, capsys):
     (tmp_path / "o" / ".gpcjax.lock").touch()
     half = tmp_path / "o" / f".gpcjax-{2**22 + 1}-{12 * 'a'}.tune.json.tmp"
     half.touch()
-    assert cli.main([*WORDS, *SEARCH, "--trials", "2"]) == 0
+    assert cli.main([*WORDS, *SEARCH, "--trials", "1"]) == 0
     assert not half.exists()
 
 
@@ -360,9 +388,8 @@ def test_checking_needs_the_standard_library_alone():
     )
 
 
-def test_from_python(workers, tmp_path):
+def test_from_python(searched, workers, tmp_path):
     """The search of the command line, to the same points; what it found is at hand."""
-    assert cli.main([*WORDS, *SEARCH, "--trials", "5"]) == 0
     search = {"policy_length_scale": "0.01:100", "human-length-scale": "0.01:100"}
     settings = {
         "env": "cartpole",
@@ -370,11 +397,11 @@ def test_from_python(workers, tmp_path):
         "episodes": 3,
         "check_seeds": "100-102",
         "batch": 4,
-        "trials": 5,
+        "trials": 6,
     }
     found = gpcjax.run_tuning(search, out=tmp_path / "python", **settings)
-    pd.testing.assert_frame_equal(table(found.folder), table(tmp_path / "o"))
-    assert len(found.points) == 5 and found.points["tied"].iloc[0]
+    pd.testing.assert_frame_equal(table(found.folder), table(searched.folder))
+    assert len(found.points) == 6 and found.points["tied"].iloc[0]
     assert found.best == dict(found.points.iloc[0][["policy_length_scale", "human_length_scale"]])
     assert set(found.check.differences_table["pairs"]) == {3}
     assert "area" in found.check.differences_table["statistic"].tolist()
