@@ -128,6 +128,7 @@ COMPILED_PLAINLY = (
     "sweep/test_schedule.py",
     "sweep/test_start.py",
     "sweep/test_sweeps.py",
+    "teach/test_browser.py",
     "teach/test_from.py",
     "teach/test_lesson.py",
     "teach/test_taught.py",

@@ -151,9 +151,9 @@ def test_the_whole_of_it(sweeps, pretended, tmp_path, monkeypatch, painted):
 @pytest.mark.parametrize(
     ("name", "jobs", "told"),
     [
-        ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 30 s where nothing is done yet"),
+        ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 20 s where nothing is done yet"),
         ("fig5_5_lunarlander_ns", 2, "60 runs of 200 episodes, about 22 min where nothing is done yet"),
-        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 11 min where nothing is done yet"),
+        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 10 min where nothing is done yet"),
     ],
 )
 def test_costs_of_whole_experiments(tmp_path, name, jobs, told):
