@@ -8,14 +8,18 @@ what goes into it (`gpcjax.engine.identity`), and for another source, which may 
 
 What is read is executed, and jax keeps it pickled: so a folder is used only if nobody but its owner, who is this user,
 can write there; and a file only if it is all that was written.
+
+What one process compiles no other one compiles beside it: that one waits, and reads it.
 """
 
 import contextlib
+import fcntl
 import functools
 import hashlib
 import os
 import re
 import stat
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +35,9 @@ from gpcjax.sweep.atomic import write_atomic
 
 MOST_BYTES = 1 << 29
 """Of all kept programs; those that were not used for longest go."""
+
+MOST_SECONDS, LOOK_SECONDS = 120.0, 0.02
+"""For how long another process is waited for, and how often it is looked whether it is done."""
 
 _IN_A_HURRY = "jax_disable_most_optimizations"
 """A setting of jax that somebody may have in this process; workers have none."""
@@ -71,15 +78,36 @@ class Executables:
             return lowered.compile()
         counts = leaves, given, others
         text = hashlib.sha256(f"{jax.__version__} {counts} {words}".encode()).hexdigest()[:32]
-        found = self._read(text)
-        if found is None:
-            with _compiling_anew():
-                found = lowered.compile()
-            self._write(text, found, *counts)
+        with self._alone(text):
+            found = self._read(text)
+            if found is None:
+                with _compiling_anew():
+                    found = lowered.compile()
+                self._write(text, found, *counts)
         with contextlib.suppress(OSError):
             write_atomic(self._key(key), text)
             self._key(key).chmod(0o600)
         return found
+
+    @contextmanager
+    def _alone(self, text: str) -> Iterator[None]:
+        """While the block runs nobody else is in it for this program: a lock that dies with its process.
+
+        Who cannot have it, as nothing can be written there or somebody holds it for too long, goes on without.
+        """
+        path = self._folder / f"{text}.lock"
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError:
+            yield
+            return
+        try:
+            _locked(descriptor)
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                path.unlink()  # who waits for it still has it; who comes later finds the program
+            os.close(descriptor)
 
     def _is_used(self) -> bool:
         """Not in a process whose programs are compiled in a hurry: others would take these for their own."""
@@ -152,6 +180,19 @@ def _compiling_anew() -> Iterator[None]:
     finally:
         jax.config.update(name, before)
         compilation_cache.reset_cache()
+
+
+def _locked(descriptor: int) -> None:
+    """Waits for the lock on this file as long as that is worth it."""
+    until = time.monotonic() + MOST_SECONDS
+    with contextlib.suppress(OSError):  # a file system without locks
+        while True:
+            try:
+                return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    return None
+                time.sleep(LOOK_SECONDS)
 
 
 def _closed(program: bytes, *counts: int) -> bytes:

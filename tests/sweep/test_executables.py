@@ -1,8 +1,10 @@
 """Programs that are kept whole: the same bits without compiling, and nothing but what this user wrote is executed."""
 
+import errno
 import os
 import subprocess
 import sys
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +54,61 @@ def test_what_was_kept_computes_the_same(folder):
     assert found is not None
     assert result(found) == result(lowered().compile()) == [[4.0, 5.0, 6.0], [2.0, 2.0], 12.0]
     assert Executables(folder).find("1" * 32) is None
+
+
+class Compiling:
+    """A program that is lowered and takes its time to compile."""
+
+    def __init__(self, compile=None):
+        self._lowered, self._compile = lowered(), compile
+        self.compiled = 0
+
+    def as_text(self):
+        return self._lowered.as_text()
+
+    def compile(self):
+        self.compiled += 1
+        if self._compile is not None:
+            self._compile()
+        return self._lowered.compile()
+
+
+def test_what_another_one_compiles_is_waited_for_and_read(tmp_path, monkeypatch):
+    begun, waited = threading.Event(), threading.Event()
+
+    def compile():
+        begun.set()
+        assert waited.wait(60)
+
+    def sleep(seconds):
+        waited.set()
+        begun.wait(seconds)
+
+    monkeypatch.setattr(executables.time, "sleep", sleep)
+    first, second = Compiling(compile), Compiling()
+    one = threading.Thread(target=Executables(tmp_path).compiled, args=(KEY, first, 2, 1, 1))
+    one.start()
+    assert begun.wait(60)
+    found = Executables(tmp_path).compiled("1" * 32, second, 2, 1, 1)
+    one.join(60)
+    assert (first.compiled, second.compiled) == (1, 0)
+    assert result(found) == [[4.0, 5.0, 6.0], [2.0, 2.0], 12.0]
+    assert sorted({path.suffix for path in tmp_path.iterdir()}) == [".key", ".program"]
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_who_cannot_have_the_lock_compiles_alone(tmp_path, monkeypatch, held):
+    """One that hangs, or was stopped, holds it; a file system may have none."""
+    monkeypatch.setattr(executables, "MOST_SECONDS", 0.0)
+
+    def refuse(descriptor, how):
+        raise BlockingIOError if held else OSError(errno.ENOLCK, "no locks")
+
+    monkeypatch.setattr(executables.fcntl, "flock", refuse)
+    monkeypatch.setattr(executables.time, "sleep", lambda seconds: None)
+    program = Compiling()
+    assert result(Executables(tmp_path).compiled(KEY, program, 2, 1, 1))[2] == 12.0
+    assert program.compiled == 1
 
 
 def test_what_is_compiled_in_a_hurry_is_not_for_others(folder):
