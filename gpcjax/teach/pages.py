@@ -50,7 +50,9 @@ class Page:
         self._something.set()
 
     def close(self, reason: str) -> None:
-        """Tells it that it no longer teaches, and closes after that."""
+        """Tells it that it no longer teaches, and closes after that, once."""
+        if self._closing:
+            return
         self._newest.clear()
         self._waiting.append(_text({"type": "gone", "reason": reason}))
         self._closing = True

@@ -35,6 +35,9 @@ KINDS = {
 }
 """The files that are served, and as what."""
 
+FAREWELL_SECONDS = 2.0
+"""Within which pages take what the lesson said last."""
+
 HTTP_PORT = 80
 """The port that browsers leave out of an address."""
 
@@ -156,4 +159,5 @@ class Serving:
     def _end_with_lesson(self) -> None:
         """Has the server end when the lesson did: there is nothing to teach any more."""
         self.lesson.join()
+        self._room.await_empty(FAREWELL_SECONDS)  # a server that ends sends nothing more
         self._server.should_exit = True

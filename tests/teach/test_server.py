@@ -1,5 +1,6 @@
 """The server with a lesson that only listens: who comes in, what is served, one teacher at a time, a slow reader."""
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -347,6 +348,26 @@ def test_a_lesson_that_fails_ends_the_server_and_its_page_hears_why():
         assert {"type": "gone", "reason": "damaged"} in _closed(page)[0]
     running.ended()
     assert isinstance(running.raised, UserError)
+
+
+def test_all_pages_hear_why_before_a_server_ends_that_looks_at_once(monkeypatch):
+    """As if each of its looks came between what is said and what is sent, even to a page that only waits."""
+    delivered = room.Room._deliver
+
+    def late(self, message):
+        asyncio.get_running_loop().call_later(0.3, delivered, self, message)
+
+    running = Running()
+    with running.page() as page, running.page() as other:
+        running.lesson.hears("joined")
+        _until(other, "hello")
+        monkeypatch.setattr(room.Room, "_deliver", late)
+        running.lesson.say({"type": "gone", "reason": "damaged"})
+        running.lesson.fail(UserError("damaged"))
+        for each in (page, other):
+            told, code = _closed(each)
+            assert told[-1] == {"type": "gone", "reason": "damaged"} and code == 1000
+    running.ended()
 
 
 def test_a_port_in_use_is_said_or_the_next_one_taken():
