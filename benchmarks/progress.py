@@ -1,11 +1,12 @@
 """Whether the time left that a sweep tells is right: sweeps of many kinds, each against how long it took in the end.
 
-    python -m benchmarks.progress [--only NAME,...] [--jobs 2] [--write]
+    python -m benchmarks.progress [--only NAME;...] [--longer] [--jobs 2] [--write]
 
 Each sweep runs as it is typed, with `--json`, in processes of its own. Of its lines those count that come after the
 first tenth of its time; the miss of a line is the difference between the time that it told and the time that was left,
 as a share of the latter. In the last tenth of a sweep the share is of that tenth: nobody waits for the share of a
-second. `--write` puts the table where it belongs in `benchmarks/README.md`; all lines go to
+second. `--longer` runs the same with so many times as many seeds as take a minute: those whose end somebody waits for.
+`--write` puts the table where it belongs in `benchmarks/README.md`; all lines go to
 `benchmarks/results/progress.json`.
 """
 
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -42,6 +43,15 @@ class Kind:
     cold: bool = False
     """Nothing is: programs go to an empty folder. Otherwise all are, by an earlier call with 64 seeds."""
 
+    def longer(self) -> "Kind":
+        """With so many times as many seeds as take a minute; nothing for the default sweep, of which there are two."""
+        words = self.words.split()
+        if "--seeds" not in words:
+            return self
+        at = words.index("--seeds") + 1
+        words[at] = str(int(words[at]) * LONGER[self.name])
+        return replace(self, name=f"{self.name} x {LONGER[self.name]}", words=" ".join(words))
+
 
 KINDS = (
     Kind("default, cold", "sweep --env cartpole --error 0,0.1,0.2", cold=True),
@@ -65,6 +75,21 @@ KINDS = (
     Kind("lander, COACH", "sweep --env lunarlander --algo coach --seeds 40 --episodes 100"),
     Kind("lander, GPC and COACH", "sweep --env lunarlander --algo gpc,coach --seeds 16 --episodes 30"),
 )
+
+LONGER = {
+    "default, four times as many": 3,
+    "pendulum": 6,
+    "many cheap runs": 4,
+    "one process, cold": 15,
+    "a grid": 8,
+    "large dictionaries": 12,
+    "states are kept": 8,
+    "a learner of one's own": 6,
+    "D-COACH": 3,
+    "lander, COACH": 4,
+    "lander, GPC and COACH": 12,
+}
+"""How many times as many seeds take a minute or two."""
 
 
 def lines_of(kind: Kind, folder: Path, jobs: int) -> list[dict[str, Any]]:
@@ -140,9 +165,10 @@ def table_of(found: dict[str, Misses]) -> str:
 
 
 def main() -> None:
-    """Measures, and prints a line for each sweep and the table at the end."""
+    """Measures, and prints a line for each sweep, and at the end the table of all that were measured so far."""
     parser = argparse.ArgumentParser(description="Compare the time left that sweeps tell with what was left.")
     parser.add_argument("--only", default="", help="names of sweeps, separated by semicolons")
+    parser.add_argument("--longer", action="store_true", help="with so many seeds as take a minute")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
@@ -151,13 +177,17 @@ def main() -> None:
     for kind in KINDS:
         if wanted and kind.name not in wanted:
             continue
+        if arguments.longer and kind == kind.longer():
+            continue
+        kind = kind.longer() if arguments.longer else kind
         began = time.monotonic()
         with tempfile.TemporaryDirectory() as scratch:
             kept[kind.name] = lines_of(kind, Path(scratch), arguments.jobs)
         RESULTS.parent.mkdir(exist_ok=True)
         RESULTS.write_text(json.dumps(kept))
         print(f"{kind.name}: {misses_of(kept[kind.name])} ({time.monotonic() - began:.0f} s)", flush=True)
-    table = table_of({kind.name: misses_of(kept[kind.name]) for kind in KINDS if kind.name in kept})
+    names = [kind.name for kind in KINDS] + [kind.longer().name for kind in KINDS]
+    table = table_of({name: misses_of(kept[name]) for name in dict.fromkeys(names) if name in kept})
     print(table)
     if arguments.write:
         before, rest = README.read_text().split(MARKS[0])

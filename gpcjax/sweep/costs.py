@@ -5,18 +5,19 @@ experiment that has not begun, they are all that is known.
 """
 
 _EPISODE = {
-    ("cartpole", "gpc"): 6.5e-4,
-    ("cartpole", "gpc-ns"): 7e-4,
-    ("cartpole", "coach"): 2.2e-4,
-    ("pendulum", "gpc"): 3e-4,
+    ("cartpole", "gpc"): 4.5e-4,
+    ("cartpole", "gpc-ns"): 8e-4,
+    ("cartpole", "coach"): 1.3e-4,
+    ("pendulum", "gpc"): 3.3e-4,
     ("pendulum", "gpc-ns"): 1.6e-3,
-    ("pendulum", "coach"): 9e-5,
-    ("lunarlander", "gpc"): 1.3e-2,
-    ("lunarlander", "gpc-ns"): 2.2e-1,
-    ("lunarlander", "coach"): 7e-3,
+    ("pendulum", "coach"): 8.5e-5,
+    ("pendulum", "d-coach"): 1.2e-2,
+    ("lunarlander", "gpc"): 1.2e-2,
+    ("lunarlander", "gpc-ns"): 2e-1,
+    ("lunarlander", "coach"): 6e-3,
     ("mountaincar", "gpc"): 3.4e-4,
-    ("mountaincar", "gpc-ns"): 1.5e-3,
-    ("mountaincar", "coach"): 1.2e-4,
+    ("mountaincar", "gpc-ns"): 1.6e-3,
+    ("mountaincar", "coach"): 7e-5,
 }
 """Seconds of an episode, with an expert whose target costs no more than a step: of sweeps of some hundred runs, with
 the usual settings (`python -m benchmarks.progress`), on a machine that needs 1.3 s of a core to start a worker. The
@@ -26,7 +27,7 @@ _TARGETS = {("cartpole", "mpc"): 0.05, ("pendulum", "mpc"): 0.016}
 """Seconds that the targets of an episode take beside, of experts that plan: 0.8 and 1.6 ms each, at 5 % of the steps of
 a usual episode (1,100 and 200), where a teacher may advise."""
 
-_COMPILING = {"gpc": 4.4, "gpc-ns": 6.0, "coach": 1.7, "d-coach": 12.0}
+_COMPILING = {"gpc": 5.0, "gpc-ns": 7.5, "coach": 2.8, "d-coach": 12.0}
 """Seconds until the programs of one tier are compiled."""
 
 _TIERS = {"gpc": 2}

@@ -11,8 +11,11 @@ FADES = 0.97
 _ENOUGH = 1.0
 """Seconds of what workers said, to go by that."""
 
+AT_START = 1.5
+"""Seconds that a second of a core takes while workers begin, on two cores that nobody else is on: the process that
+starts them is at work, too, which it hardly is later."""
 
-USUAL_START, USUAL_PIECE = 1.3, 9e-3
+USUAL_START, USUAL_PIECE = 1.3, 6e-3
 """Seconds of a core in which a worker imports what it needs, and does a piece of work, on the machine that `costs` were
 seen on."""
 
@@ -38,7 +41,7 @@ class Crowd:
     def begin(self, seconds: float, processor: float, piece: float) -> None:
         """Notes what a worker took until it was there, of all seconds and of a core's, and for a piece of work."""
         self._pieces.append(piece)
-        self.take(seconds, processor)
+        self.take(max(seconds / AT_START, processor), processor)
 
     def take(self, seconds: float, processor: float) -> None:
         """Notes that a worker had so many seconds of a core while so many passed."""

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from gpcjax.registry import find
 from gpcjax.sweep import costs
 from gpcjax.sweep.paces import Left
-from gpcjax.sweep.works import Work, is_seen
+from gpcjax.sweep.works import AT_FIRST, Work, is_seen
 
 End = tuple[float, int]
 """When a worker has done what it has, and the index of its program; -1 for none."""
 
-JOIN = 48
-"""A program that another worker already runs must have this many cells left to be worth compiling a second time."""
+PAYS = 1.5
+"""A program that others run is joined where what is left of it takes so many times as long as to begin with it."""
 
 KNOWN = 0.15
 """How far off the seconds of a program usually are, as a part of all, where it ran here before."""
@@ -25,19 +25,18 @@ UNLIKE = 0.1
 LATE = 0.25
 """What is late takes as much longer, as a part of the time since it began."""
 
-AT_FIRST = 0.4
-"""Seconds that a worker takes with a new program beside its compilation and its blocks."""
-
 MEASURED = 0.4
 """How far off what is left usually is by the pace so far, as a part of it."""
 
 
-def least_to_join(env: str) -> int:
-    """Cells that must be left of a program of this task for a further worker to compile it too.
+def least_to_join(work: Work) -> int:
+    """Cells that nobody has yet of a program that others run, from which on a further worker joins them.
 
-    Where the host simulates, one is enough: its steps take longer than any compilation.
+    With it what is left is done sooner, if that takes each of those who are there longer than it to begin.
     """
-    return 1 if find("task", env).on_host else JOIN
+    if find("task", work.env).on_host:
+        return 1  # its steps take longer than any compilation
+    return max(math.ceil(PAYS * work.workers * work.joining / work.cell_seconds), 1)
 
 
 def seconds_left(works: Sequence[Work], jobs: int) -> float:
@@ -90,8 +89,8 @@ def _first_ends(works: Sequence[Work], compiling: float, bound: Mapping[int, flo
             continue
         stepping = work.workers - work.starting
         further = _further(work, compiling)
-        if stepping or work.steps:  # it joined another; since when is not known
-            compile_left = _to_compile(work, compiling) / 2
+        if stepping or work.steps:  # it joined another
+            compile_left = overdue(work.joining, work.compiling_for)
         else:
             compile_left = _to_compile(work, compiling) - work.compile_seconds / work.workers
             compile_left = overdue(compile_left, work.compiling_for)
@@ -111,7 +110,7 @@ def _last_end(
     cells = {
         each: works[each].cells - works[each].begun if seconds else 0.0 for each, seconds in free.items()
     }
-    least = {each: least_to_join(works[each].env) for each in free}
+    least = {each: least_to_join(works[each]) for each in free}
     shared = [(-number, each) for each, number in cells.items()]
     """The programs by their cells, the most first; those whose cells have become fewer since are there again."""
     heapq.heapify(shared)
@@ -136,10 +135,7 @@ def _last_end(
             if not shared:
                 continue
             index = shared[0][1]
-        # Who joins late hardly gets to the larger tiers.
-        told = works[index].paces.compiled or not works[index].steps
-        tiers = costs.tiers(works[index].algo, works[index].episodes) if told and joins else 1
-        heapq.heappush(ends, (now + to_compile[index] / tiers, index))
+        heapq.heappush(ends, (now + (works[index].joining if joins else to_compile[index]), index))
     return last
 
 
@@ -203,7 +199,8 @@ def _compiling(works: Sequence[Work]) -> float:
     begun = [work for work in works if work.steps and not work.before]
     compiled = (work.paces.compiled or costs.tiers(work.algo, work.episodes) for work in begun)
     usual = sum(
-        costs.compiling(work.algo) * tiers * work.joined for work, tiers in zip(begun, compiled, strict=True)
+        costs.compiling(work.algo) * tiers * (work.joined - work.starting)
+        for work, tiers in zip(begun, compiled, strict=True)
     )
     if not usual:
         return _guessed(works)

@@ -23,8 +23,8 @@ class Sharing:
     A worker compiles a program, then takes cells of it, a few at a time, until there are none: first those of the first
     seed, so that the runs which are over, of which tables are made and times reckoned, are a sample of all. Programs go
     out one after the other, those first that usually take longest, each to a worker of its own: in the end nobody waits
-    for one that was begun late. A worker that finds none left joins the one with most cells to do, where they are worth
-    compiling it once more.
+    for one that was begun late. A worker that finds none left joins the one with most cells to do, where that saves
+    more than it costs.
 
     Where machines differ, one that has nothing left takes copies of what another one has had for longest: nobody waits
     for a slow one, or for one that hangs. The rows that come first count.
@@ -74,7 +74,7 @@ class Sharing:
         self.leave(worker)
         taken = set(self._at.values())
         free = [key for key, cells in self._left.items() if cells and key not in taken]
-        shared = [key for key, cells in self._left.items() if len(cells) >= least_to_join(key.env)]
+        shared = [key for key, cells in self._left.items() if len(cells) >= least_to_join(self.works[key])]
         if not free and not shared:
             return None
         program = free[0] if free else max(shared, key=lambda key: len(self._left[key]))

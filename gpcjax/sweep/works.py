@@ -9,6 +9,9 @@ from gpcjax.sweep.experience import COMPILED_FROM, FROM_CACHE, FROM_TEXT, LEAST_
 from gpcjax.sweep.paces import Paces
 from gpcjax.sweep.plan import Program
 
+AT_FIRST = 0.4
+"""Seconds that a worker takes with a new program beside its compilation and its blocks."""
+
 
 @dataclass
 class Work:
@@ -108,6 +111,21 @@ class Work:
             if self.before
             else costs.compiling(self.algo) * costs.tiers(self.algo, self.episodes)
         )
+
+    @property
+    def joining(self) -> float:
+        """Seconds until a further worker runs the program too: it reads what the first one compiled and kept."""
+        if self.before:
+            return self.before.compiling + AT_FIRST
+        compiled = self.compile_seconds / max(self.joined - self.starting, 1)
+        return FROM_CACHE * (compiled or self.usual_compiling * self.machine) + AT_FIRST
+
+    @property
+    def cell_seconds(self) -> float:
+        """Seconds of a worker that a cell takes: as it was seen, or as far as that is known before."""
+        if is_seen(self):
+            return self.seconds / (self.done * self.cells)
+        return self.episodes * self.usual_episode * (1.0 if self.before else self.machine)
 
     @property
     def usual_whole(self) -> float:

@@ -1,19 +1,22 @@
 """Who gets which cells: plain calls, no process."""
 
+from dataclasses import replace
+
 import hypothesis
 import hypothesis.strategies as st
 import pytest
 
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
-from gpcjax.sweep.crowd import USUAL_PIECE
-from gpcjax.sweep.estimate import JOIN
+from gpcjax.sweep.crowd import AT_START, USUAL_PIECE
+from gpcjax.sweep.estimate import least_to_join
 from gpcjax.sweep.executors import Desk, Totals
 from gpcjax.sweep.executors import desk as desk_module
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing
 from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.works import Work
 from tests.sweep.pretended import BASELINE, rows
 
 
@@ -22,19 +25,41 @@ def cells(seeds=4, algo=("gpc", "coach"), env="cartpole", **settings):
 
 
 def test_each_worker_has_a_program_of_its_own_and_joins_only_where_it_is_worth_it():
-    small, large = cells(seeds=JOIN, algo=["gpc"]), cells(seeds=3 * JOIN, algo=["coach"])
+    small, large = cells(seeds=20, algo=["gpc"]), cells(seeds=3000, algo=["coach"])
     sharing = Sharing([*small, *large], workers=3)
-    assert [sharing.next_program(worker) for worker in range(3)] == [small[0], large[0], large[0]]
-    assert [work.workers for work in sharing.works.values()] == [1, 2]
-    while sharing.next_cells(0):
+    assert [sharing.next_program(worker).algo for worker in range(3)] == ["coach", "gpc", "coach"]
+    works = {work.algo: work for work in sharing.works.values()}
+    assert works["gpc"].workers == 1 and works["coach"].workers == 2
+    while sharing.next_cells(1):
         pass
-    left = sharing.works[program_of(large[0])]
-    sharing.leave(1)
-    while left.cells - left.begun >= JOIN:
-        sharing.next_cells(2)
-    assert sharing.next_program(0) is None  # too few are left to compile them a third time
-    assert sharing.next_program(1) is None and sharing.at(2) == program_of(large[0])
+    left = works["coach"]
+    sharing.leave(2)
+    while left.cells - left.begun >= least_to_join(left):
+        sharing.next_cells(0)
+    assert sharing.next_program(1) is None  # what is left is done sooner than a further worker has begun
+    assert sharing.next_program(2) is None and sharing.at(0) == program_of(large[0])
     assert left.workers == 1 and left.joined == 2
+
+
+def test_more_is_left_where_more_are_at_it_and_less_where_cells_take_long():
+    """With k workers there a further one saves the k-th part of what is left at most."""
+    quick, slow = (
+        Work("cartpole", "gpc", 1000, 30, before=Cost(seconds, 2.0, 1000, 1), workers=1)
+        for seconds in (0.001, 0.1)
+    )
+    few, many = least_to_join(slow), least_to_join(quick)
+    assert 1 <= few <= many / 20 and many * quick.cell_seconds == pytest.approx(1.5 * quick.joining, rel=0.1)
+    assert least_to_join(replace(quick, workers=3)) == pytest.approx(3 * many, abs=3)
+    assert least_to_join(replace(quick, env="lunarlander")) == 1
+
+
+def test_to_join_takes_what_it_takes_to_read_what_was_compiled():
+    compiled = Work("cartpole", "gpc", 300, 30, joined=1, compile_seconds=20.0, steps=1)
+    assert 0.5 < compiled.joining < 3.0
+    assert Work("cartpole", "gpc", 300, 30).joining < 2.0, (
+        "who comes while it is compiled waits, and reads it"
+    )
+    assert replace(compiled, before=Cost(0.1, 1.2, 300, 1)).joining == pytest.approx(1.2, abs=0.5)
 
 
 def test_what_takes_longest_goes_out_first():
@@ -161,7 +186,7 @@ class TestDesk:
         assert work.ready_in == 2.0 and it.started is None
         now[0] += 3.0
         for worker in (0, 1):
-            assert it.answer(worker, ("begun", 5.2, 2.6, 2 * USUAL_PIECE)) is None
+            assert it.answer(worker, ("begun", 5.2 * AT_START, 2.6, 2 * USUAL_PIECE)) is None
             assert it.answer(worker, ("ready",))[0] == "program"
         it.look()
         assert it.started == 2.6 and work.ready_in == 0.0
