@@ -80,11 +80,9 @@ def programs():
 @pytest.mark.parametrize(
     ("name", "axes"),
     [
-        *(("correct", 2), ("hyperparameters", 2), ("gradient", 2)),
-        *(
-            pytest.param(name, 1, marks=pytest.mark.slow)
-            for name in ("uncertainty", "scan", "likelihood", "hessian")
-        ),
+        *(("uncertainty", 2), ("hyperparameters", 2), ("gradient", 2)),
+        pytest.param("correct", 2, marks=pytest.mark.slow),
+        *(pytest.param(name, 1, marks=pytest.mark.slow) for name in ("scan", "likelihood", "hessian")),
     ],
 )
 def test_no_kernel_is_given_a_batch(name, axes):

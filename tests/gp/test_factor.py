@@ -21,7 +21,7 @@ SIZES = (5, 100, 300, 520)
 """No multiples of a tile."""
 
 each_size = pytest.mark.parametrize(
-    "capacity", [5, pytest.param(100, marks=pytest.mark.slow), 300, pytest.param(520, marks=pytest.mark.slow)]
+    "capacity", [300, *(pytest.param(size, marks=pytest.mark.slow) for size in (5, 100, 520))]
 )
 
 LONGEST = 40
@@ -167,7 +167,7 @@ near_a_node = st.builds(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, CAPACITY - 1), near_a_node), min_size=1, max_size=LONGEST))
 def test_generated_sequences_of_append_and_replace(steps):
     """An index in use is replaced, any other means the first free one. Repeats make K singular up to the noise."""
@@ -189,8 +189,8 @@ def test_thousands_of_replacements_lose_no_digits():
     """In a dictionary that was filled first."""
     rng, dense = np.random.default_rng(2), Dense(capacity=40)
     root = factor.empty(40)
-    indices = np.append(np.arange(40), rng.integers(40, size=4960))
-    for part in np.split(indices, 10):
+    indices = np.append(np.arange(40), rng.integers(40, size=2460))
+    for part in np.split(indices, 5):
         root = dense.learn_all(root, [(index, 6 * rng.normal(size=2)) for index in part], len(part))
         dense.check_inverse(root, 1e-9)
         dense.check_deviations(root, 1e-12)
@@ -285,7 +285,7 @@ def test_appending_against_a_dense_solve(capacity):
 
 def test_appended_one_by_one_as_put():
     """A lower root and one of which points could go: the same, along a whole sequence."""
-    rng, capacity = np.random.default_rng(8), 150
+    rng, capacity = np.random.default_rng(8), 60
     dense, root = Dense(1e-4, capacity), factor.empty(capacity)
     appended = factor.empty(capacity, lower=True)
     for count in range(capacity):
@@ -308,7 +308,7 @@ def test_appended_one_by_one_as_put():
         *(pytest.param(*pair, marks=pytest.mark.slow) for pair in ((48, 64), (64, 300), (300, 512))),
     ],
 )
-@pytest.mark.parametrize("is_lower", [False, True])
+@pytest.mark.parametrize("is_lower", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_grown_roots_are_the_same(small, large, is_lower):
     """And take in further points."""
     rng = np.random.default_rng(small)

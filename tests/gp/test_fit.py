@@ -13,7 +13,7 @@ from gpcjax.gp.fit import BOUNDS, fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SMOOTHNESSES, SQUARED_EXPONENTIAL, Kernel
 
 
-def data(n=40, d=1, seed=0, noise=0.1):
+def data(n=24, d=1, seed=0, noise=0.1):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-3, 3, (n, d))
     return points, np.sin(2 * points).sum(1) + noise * rng.normal(size=n)
@@ -38,7 +38,8 @@ def ours(smoothness, points, targets, values):
 
 
 @pytest.mark.parametrize(
-    "smoothness", [pytest.param(nu, marks=[pytest.mark.slow] if nu == 1.5 else []) for nu in SMOOTHNESSES]
+    "smoothness",
+    [pytest.param(nu, marks=[pytest.mark.slow] if nu in (1.5, 2.5) else []) for nu in SMOOTHNESSES],
 )
 @pytest.mark.parametrize("d", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_likelihood_and_its_slope_are_those_of_scikit_learn(smoothness, d):

@@ -76,7 +76,9 @@ def test_a_smoothness_without_closed_form_is_refused(nu):
         make(nu)
 
 
-@every_smoothness
+@pytest.mark.parametrize(
+    "nu", [pytest.param(nu, marks=[pytest.mark.slow] if nu in (1.5, 2.5) else []) for nu in SMOOTHNESSES]
+)
 def test_derivatives_where_points_meet(nu):
     """A stationary kernel is flat there, and curved as (3.4) says."""
     kernel, scale = make(nu), jnp.asarray(SCALE)

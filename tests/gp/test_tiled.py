@@ -14,6 +14,7 @@ from tests.trees import assert_close
 ROOM, NOISE = 24, 0.01
 SCALE = np.array([0.5, 2.0, 1.0])
 COUNTS = (0, 1, 7, 8, 9, 16, 23, 24)
+COUNT = 23
 
 
 @pytest.fixture
@@ -45,7 +46,9 @@ def made(kernel, points, count, vector, noise=NOISE):
     return map(np.asarray, factorised(kernel, points, SCALE, np.int32(count), np.float64(noise), vector))
 
 
-@pytest.mark.parametrize("smoothness", SMOOTHNESSES)
+@pytest.mark.parametrize(
+    "smoothness", [nu if nu == 2.5 else pytest.param(nu, marks=pytest.mark.slow) for nu in SMOOTHNESSES]
+)
 def test_it_is_numpys(smoothness):
     for count in COUNTS if smoothness == 2.5 else (23,):
         kernel, points, vector, matrix = given(count, smoothness)
@@ -88,7 +91,7 @@ def test_what_is_no_number_is_none():
     assert np.isnan(whitened).any()  # not positive definite
 
 
-@pytest.mark.parametrize("keeps_weights", [True, False])
+@pytest.mark.parametrize("keeps_weights", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_model_that_learns_by_tiles(by_tiles, monkeypatch, keeps_weights):
     """Through more points than a tile has, some of them replaced."""
 
@@ -148,22 +151,21 @@ def by_lapack(gram, noise, vector):
 def test_points_upon_each_other_are_as_exact_as_by_lapack(noise):
     """Little noise makes the matrix nearly singular: an inverse of its tiles alone would lose two digits."""
     rng = np.random.default_rng(0)
-    points = np.zeros((40, 2))
-    points[:37] = rng.normal(size=(6, 2))[rng.integers(6, size=37)]
-    vector = np.zeros(40)
-    vector[:37] = rng.normal(size=37)
-    kernel, scale = Kernel(jnp.array(0.8), jnp.array(0.7), np.inf), np.ones(2)
-    gram = dense.kernel(points[:37], points[:37], 0.8, 0.7, np.inf)
-    _, _, by_tiles = factorised(kernel, points, scale, np.int32(37), np.float64(noise), vector)
+    points, vector = np.zeros((ROOM, 3)), np.zeros(ROOM)
+    points[:COUNT] = rng.normal(size=(4, 3))[rng.integers(4, size=COUNT)]
+    vector[:COUNT] = rng.normal(size=COUNT)
+    kernel = Kernel(jnp.array(0.8), jnp.array(0.7), 2.5)
+    gram = dense.kernel(points[:COUNT] * SCALE, points[:COUNT] * SCALE, 0.8, 0.7, 2.5)
+    _, _, by_tiles = made(kernel, points, COUNT, vector, noise)
     # Points that agree share their targets' sum: so the mean there is known, and well determined.
-    _, which = np.unique(points[:37], axis=0, return_inverse=True)
-    count, total = np.bincount(which.ravel()), np.bincount(which.ravel(), vector[:37])
+    _, which = np.unique(points[:COUNT], axis=0, return_inverse=True)
+    count, total = np.bincount(which.ravel()), np.bincount(which.ravel(), vector[:COUNT])
     _, first = np.unique(which.ravel(), return_index=True)
     distinct = gram[np.ix_(first, first)]
     exact = (distinct @ np.linalg.solve(distinct + np.diag(noise / count), total / count))[which.ravel()]
     error, usual = (
         np.abs(gram @ np.asarray(weights) - exact).max()
-        for weights in (by_tiles[:37], by_lapack(gram, np.float64(noise), vector[:37]))
+        for weights in (by_tiles[:COUNT], by_lapack(gram, np.float64(noise), vector[:COUNT]))
     )
     assert error < 4 * usual
 
@@ -173,12 +175,19 @@ def uncertainty(noise):
     rng = np.random.default_rng(0)
     process = Renormalised(Kernel(jnp.array(0.8), jnp.array(0.7), 2.5), noise)
     posterior = process.init(16, jnp.ones(3))
-    for index, (point, target) in enumerate(zip(rng.normal(size=(2, 3)), rng.normal(size=2), strict=True)):
-        reading = process.read(posterior, (), process.covariances(posterior, jnp.asarray(point)))
-        change = process.put(
-            posterior, (), reading, jnp.asarray(point), jnp.asarray(target), jnp.int32(index), jnp.array(True)
-        )
-        posterior = change.write(posterior, ())
+
+    def learned(posterior, given):
+        index, point, target = given
+        reading = process.read(posterior, (), process.covariances(posterior, point))
+        change = process.put(posterior, (), reading, point, target, index, jnp.array(True))
+        return change.write(posterior, ()), None
+
+    given = (
+        jnp.arange(2, dtype=jnp.int32),
+        jnp.asarray(rng.normal(size=(2, 3))),
+        jnp.asarray(rng.normal(size=2)),
+    )
+    posterior, _ = jax.lax.scan(learned, posterior, given)
     return process.uncertainty(posterior, jnp.zeros(3)) + posterior.weights.sum()
 
 
@@ -189,8 +198,8 @@ def slope_by_lapack():
         return np.asarray(jax.jit(jax.grad(lambda noise: uncertainty(noise)))(0.1))
 
 
-@pytest.mark.parametrize("function", [jax.grad, jax.jacfwd])
+@pytest.mark.parametrize("function", [jax.grad, pytest.param(jax.jacfwd, marks=pytest.mark.slow)])
 def test_derivatives_are_those_by_lapack(slope_by_lapack, by_tiles, function):
-    """Of either mode; loops whose length is not known could not be gone through backwards."""
+    """Of either mode, the first by way of the second; loops of no known length could not be gone through backwards."""
     own = jax.jit(function(lambda noise: uncertainty(noise)))(0.1)
     np.testing.assert_allclose(own, slope_by_lapack, rtol=1e-9)
