@@ -1,6 +1,7 @@
 """What an import loads, seen from fresh processes: our own has loaded everything."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,15 +15,6 @@ HEAVY = {
     *("jax", "jaxlib", "equinox", "jaxtyping", "numpy", "scipy", "pandas", "pyarrow"),
     *("brax", "mujoco", "gymnasium", "orbax", "optax", "matplotlib", "rich", "sklearn"),
 }
-
-
-def loaded(code):
-    """The top-level modules that a fresh process has after `code`."""
-    script = f"{code}\nimport json, sys\nprint(json.dumps(sorted({{name.partition('.')[0] for name in sys.modules}})))"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    return set(json.loads(done.stdout.splitlines()[-1]))
 
 
 def first_heavy(steps):
@@ -82,12 +74,41 @@ def test_nor_does_one_alone(words):
     assert first_heavy(["from gpcjax.cli import main", f"main({words!r})"]) is None
 
 
-def test_the_first_name_switches_to_float64_and_starts_no_backend():
-    code = (
-        "import gpcjax\ngpcjax.make_learner\nimport jax\nassert jax.config.jax_enable_x64\n"
-        "from jax._src import xla_bridge\nassert not xla_bridge.backends_are_initialized()"
+FIRST = """
+import sys
+def has(*names): return {*names} & {name.partition(".")[0] for name in sys.modules}
+import gpcjax
+gpcjax.make_learner
+import jax
+from jax._src import xla_bridge
+assert jax.config.jax_enable_x64 and not xla_bridge.backends_are_initialized()
+assert not has("brax", "gymnasium", "matplotlib", "pandas")
+"""
+TASKS = """
+import gpcjax.envs.brax_adapter, gpcjax.envs.host
+from gpcjax.envs.registry import make_env, make_expert
+make_env("cartpole"), make_expert("cartpole", "lqr"), make_env("pendulum"), make_expert("lunarlander", "heuristic")
+assert not has("brax", "gymnasium", "matplotlib")
+print(jax.numpy.zeros(1).dtype)
+"""
+
+
+@pytest.mark.parametrize(
+    "word", ["0", *(pytest.param(word, marks=pytest.mark.slow) for word in ("", "false"))]
+)
+def test_the_first_name_switches_to_float64_and_starts_no_backend(word):
+    """Over the environment, and then it is said; tasks load neither brax nor gymnasium."""
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST + TASKS],
+        cwd=ROOT,
+        env={**os.environ, **({"JAX_ENABLE_X64": word} if word else {})},
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert not loaded(code) & {"brax", "gymnasium", "matplotlib", "pandas"}
+    assert done.stdout == "float64\n"
+    said = "JAX_ENABLE_X64 is off, but gpcjax needs float64: it is switched on"
+    assert (said in done.stderr) == bool(word)
 
 
 def test_public_names():

@@ -1,10 +1,6 @@
 """What a person asks of jax for code of their own changes no number here, and breaks nothing."""
 
-import os
-import subprocess
-import sys
 import threading
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +11,6 @@ import gpcjax
 from gpcjax.gp.fit import fit
 from tests.trees import assert_same_bits
 
-ROOT = Path(gpcjax.__file__).parents[1]
 SETTINGS = {
     "jax_enable_x64": False,
     "jax_debug_nans": True,
@@ -148,18 +143,3 @@ def test_a_state_that_was_cast_is_refused(algo):
     ):
         with pytest.raises(ValueError, match="state holds float32, where init gives float64"):
             call()
-
-
-@pytest.mark.parametrize("word", ["0", pytest.param("false", marks=pytest.mark.slow)])
-def test_switching_float64_on_over_the_environment_is_said(word):
-    code = "import gpcjax; gpcjax.make_learner; import jax; print(jax.numpy.zeros(1).dtype)"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        env={**os.environ, "JAX_ENABLE_X64": word},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout == "float64\n"
-    assert "JAX_ENABLE_X64 is off, but gpcjax needs float64: it is switched on" in done.stderr

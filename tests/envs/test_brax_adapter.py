@@ -65,8 +65,8 @@ def test_inverted_pendulum() -> None:
 
 def test_lanes_on_the_last_axis(fast: BraxEnv) -> None:
     keys = jax.random.split(jax.random.key(0), 3)
-    state = jax.vmap(fast.reset, out_axes=-1)(keys)
-    after = jax.vmap(fast.step, in_axes=-1, out_axes=-1)(state, jnp.array([[1.0, -1.0, 0.5]]))
+    state = jax.jit(jax.vmap(fast.reset, out_axes=-1))(keys)
+    after = jax.jit(jax.vmap(fast.step, in_axes=-1, out_axes=-1))(state, jnp.array([[1.0, -1.0, 0.5]]))
     assert after.obs.shape == (2, 3)
     np.testing.assert_allclose(after.obs[1], [0.02, 0.0, 0.02])
 

@@ -38,7 +38,7 @@ def of_brax():
         activation=linen.tanh,
     )
     weights, biases, mean, deviation = jax.random.split(jax.random.key(0), 4)
-    policy = made.policy_network.init(weights)
+    policy = jax.jit(made.policy_network.init)(weights)
     # flax begins with biases of zero, which would hide that one is left out.
     policy = jax.tree.map(
         lambda leaf: leaf.astype(float) + (0.3 * jax.random.normal(jax.random.clone(biases), leaf.shape)),
@@ -57,19 +57,22 @@ def actions(made, normaliser, policy, observations):
     return jax.jit(jax.vmap(lambda obs: act(obs, jax.random.key(2))[0]))(observations)
 
 
+by_each = jax.jit(lambda policy, observations: jax.vmap(policy)(observations))
+
+
 def test_the_network_is_that_of_brax(of_brax, tmp_path):
     made, normaliser, policy = of_brax
     observations = 3.0 * jax.random.normal(jax.random.key(1), (50, OBS))
     expected = actions(made, normaliser, policy, observations)
     controller = network_of(arrays_of(normaliser, policy))
-    found = jax.jit(jax.vmap(Policy(controller)))(observations)
+    found = by_each(Policy(controller), observations)
     assert np.abs(expected).max() > 0.9 and np.ptp(np.asarray(expected), axis=0).min() > 0.5
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     save_controller(tmp_path / "saved", controller, {})
-    loaded = jax.jit(jax.vmap(load_policy(tmp_path / "saved")))(observations)
-    np.testing.assert_array_equal(loaded, found)
+    np.testing.assert_array_equal(by_each(load_policy(tmp_path / "saved"), observations), found)
 
 
+@pytest.mark.slow
 def test_float32_is_close(of_brax):
     made, normaliser, policy = jax.tree.map(
         lambda leaf: leaf.astype(jnp.float32) if isinstance(leaf, jax.Array) else leaf, of_brax
@@ -78,7 +81,7 @@ def test_float32_is_close(of_brax):
     expected = actions(made, normaliser, policy, observations)
     assert expected.dtype == jnp.float32
     controller = network_of(arrays_of(normaliser, policy))
-    found = jax.jit(jax.vmap(Policy(controller)))(observations.astype(float))
+    found = by_each(Policy(controller), observations.astype(float))
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6)
 
 

@@ -107,13 +107,3 @@ def test_import_loads_no_jax() -> None:
         "assert not {'jax', 'jaxtyping', 'equinox', 'numpy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_tasks_load_neither_brax_nor_gymnasium() -> None:
-    code = (
-        "import sys; from gpcjax.envs.registry import make_env, make_expert; import gpcjax.envs.brax_adapter\n"
-        "make_env('cartpole'), make_expert('cartpole', 'lqr'), make_env('pendulum')\n"
-        "make_expert('lunarlander', 'heuristic'); import gpcjax.envs.host\n"
-        "assert not {'brax', 'gymnasium', 'matplotlib'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

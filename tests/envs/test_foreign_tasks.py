@@ -148,7 +148,10 @@ def test_its_scale_reaches_gpc(monkeypatch):
     np.testing.assert_allclose(gpcjax.make_learner("gpc", "mine:It").scaling, [0.1, 10.0])
 
 
-@pytest.mark.parametrize(("found", "steps"), [(Plain, 1000), (Short, 7), (Seeking, 15), (Slide, 15)])
+@pytest.mark.parametrize(
+    ("found", "steps"),
+    [(Plain, 1000), (Short, 7), (Seeking, 15), pytest.param(Slide, 15, marks=pytest.mark.slow)],
+)
 def test_an_episode_ends_after_max_steps_whatever_its_state_says(found, steps):
     assert evaluate(made(found), lambda obs: jnp.zeros(1), 2).length.tolist() == [steps, steps]
 

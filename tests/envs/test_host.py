@@ -211,7 +211,7 @@ class TestLanderHeuristic:
 
     def test_lanes_may_be_last_and_numbers_of_their_own(self) -> None:
         obs = np.random.default_rng(1).normal(size=(8, 5))
-        batch = jax.vmap(self.expert, in_axes=-1, out_axes=-1)(obs)
+        batch = jax.jit(jax.vmap(self.expert, in_axes=-1, out_axes=-1))(obs)
         np.testing.assert_allclose(batch.T, [self.expert(each) for each in obs.T], atol=1e-12)
         steep = LanderHeuristic(lean=0.1)(jnp.array([2.0, 1, 0, 0, 0.04, 0, 0, 0]))
         np.testing.assert_allclose(steep[1], -20.0 * 0.5 * (0.1 - 0.04), rtol=1e-12)
@@ -220,9 +220,9 @@ class TestLanderHeuristic:
 def test_evaluate_on_the_host() -> None:
     """The expert lands; each start is that of its seed's first episode, whatever the number of starts."""
     env = lunar_lander()
-    landed = evaluate(env, LanderHeuristic(), starts=10)
-    assert landed.returns.shape == landed.length.shape == (10,)
-    assert landed.returns.mean() > 240 and len(np.unique(landed.returns)) == 10
+    landed = evaluate(env, LanderHeuristic(), starts=4)
+    assert landed.returns.shape == landed.length.shape == (4,)
+    assert landed.returns.mean() > 240 and len(np.unique(landed.returns)) == 4
     fallen = evaluate(env, idle(env), starts=3)
     assert fallen.returns.mean() < -50
     still = [

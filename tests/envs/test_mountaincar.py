@@ -197,18 +197,19 @@ def test_pump_reaches_the_goal_from_every_start(
     expert_returns: Callable[..., np.ndarray], starts: Callable[[int], jax.Array]
 ) -> None:
     """Also from rest on the valley's floor, where a push along the velocity would be none."""
-    returns = expert_returns(MountainCar(), ValleyPump(), starts(500))
+    returns = expert_returns(MountainCar(), ValleyPump(), starts(100))
     assert 96 < returns.mean() < 98 and returns.min() > 95
     resting = MountainCar(start_position=FLOOR, start_range=0.0)
-    assert expert_returns(resting, ValleyPump(), starts(500)).min() > 95
+    assert expert_returns(resting, ValleyPump(), starts(100)).min() > 95
     assert ValleyPump(nudge=0.0)(jnp.array([FLOOR, 0.0])) == 0 < ValleyPump()(jnp.array([FLOOR, 0.0]))
 
 
 def test_pump_is_bounded_and_smooth() -> None:
     obs = np.random.default_rng(0).uniform([WALL, -0.07], [0.6, 0.07], (2000, 2))
-    act = jax.vmap(ValleyPump(strength=0.7))
+    by_each = jax.jit(lambda pump, observations: jax.vmap(pump)(observations))
+    act = lambda observations, strength=0.7: by_each(ValleyPump(strength=strength), observations)  # noqa: E731
     action = np.asarray(act(obs))
     assert 0.69 < np.abs(action).max() <= 0.7
     np.testing.assert_allclose(np.sign(action[:, 0]), np.sign(obs[:, 1] + 0.001))
     assert np.abs(act(obs + 1e-6) - action).max() < 1e-3
-    assert np.abs(jax.vmap(ValleyPump(strength=5.0))(obs)).max() == 1
+    assert np.abs(act(obs, 5.0)).max() == 1
