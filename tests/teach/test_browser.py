@@ -124,11 +124,11 @@ def opened(browser, tmp_path):
     assert complaints == []
 
 
-def _until(true, seconds):
+def _until(true, seconds, pause=0.02):
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "it did not come"
-        time.sleep(0.1)
+        time.sleep(pause)
 
 
 def _shown(page, name):
@@ -138,7 +138,7 @@ def _shown(page, name):
 def _settled(page, name):
     """What is shown, once nothing more comes that was on its way."""
     shown = [_shown(page, name)]
-    _until(lambda: shown.append(_shown(page, name)) or (len(shown) > 5 and len({*shown[-5:]}) == 1), 60)
+    _until(lambda: shown.append(_shown(page, name)) or (len(shown) > 5 and len({*shown[-5:]}) == 1), 60, 0.1)
     return shown[-1]
 
 

@@ -8,8 +8,13 @@ import time
 
 import pytest
 
+import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.teach.clerk import Clerk
+from gpcjax.teach.course import POLICY, Course
+from gpcjax.teach.kept import Kept
+from gpcjax.teach.taught import Taught
+from tests.teach.writing import WritesHere
 
 
 class Note:
@@ -54,6 +59,19 @@ def test_what_cannot_go_there_is_written_here(clerk, tmp_path, monkeypatch):
     clerk.write(lost(tmp_path / "lost"))
     assert int((tmp_path / "lost").read_text()) == os.getpid()
     assert written(clerk, tmp_path / "after") == clerk._process.pid
+
+
+def test_what_a_lesson_leaves_is_written_there(clerk, tmp_path, monkeypatch):
+    """With the arrays of what was learned; and lessons ask for no more than is there in their tests."""
+    taught = Taught.begin(tmp_path, Course("mountaincar", "coach"))
+    taught.step()
+    taught.end("reset")
+    kept = taught.kept()(taught.session)
+    monkeypatch.setattr(Kept, "write", lambda kept: pytest.fail("it is written here"))
+    clerk.write(kept)
+    assert len(gpcjax.load(tmp_path)) == 1 and (tmp_path / POLICY).is_dir()
+    has = lambda kind: {name for name in vars(kind) if not name.startswith("_")}  # noqa: E731
+    assert has(WritesHere) == has(Clerk)
 
 
 class Alone(Note):

@@ -63,7 +63,7 @@ class Held:
 @pytest.fixture(scope="module")
 def small_dictionaries():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gpcjax.teach.beginning.DICTIONARY", 64)
+        patch.setattr("gpcjax.teach.beginning.DICTIONARY", 8)
         yield
 
 
@@ -198,13 +198,15 @@ def test_map(held):
     assert all(drawn["y"] != 9 for drawn in held.messages("map"))
 
 
-@pytest.fixture
-def writes_here(monkeypatch):
-    """As the first lesson does not."""
-    monkeypatch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
+@pytest.fixture(scope="module", autouse=True)
+def writes_here():
+    """But for a lesson that is a process of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gpcjax.teach.teller.Clerk", WritesHere)
+        yield
 
 
-def test_saved_and_opened(held, writes_here):
+def test_saved_and_opened(held):
     first = held.lesson.folder
     held.press(13)
     held.wait("advised")
@@ -223,7 +225,7 @@ def test_saved_and_opened(held, writes_here):
     assert second.name == "taught-2" and (second / "start").is_dir()
 
 
-def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, writes_here, monkeypatch):
+def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, monkeypatch):
     held.ask("step")
     shown = held.wait("frame")["n"]
     held.ask("save", name="before")
@@ -253,7 +255,7 @@ def test_what_was_asked_while_one_lesson_ended_is_no_matter_of_the_next(held, wr
     ("algo", "setting"),
     [("gpc", "constant_rate"), pytest.param("d-coach", "learning_rate", marks=pytest.mark.slow)],
 )
-def test_begun_anew_with_another_learner(held, writes_here, algo, setting):
+def test_begun_anew_with_another_learner(held, algo, setting):
     first, number = held.lesson.folder.name.rsplit("-", 1)
     held.ask("learner", name=algo, settings={setting: 0.1})
     task = held.wait("task", seconds=120)
@@ -274,7 +276,7 @@ class TestFailing:
     """Code of a person's own that fails on the way: it is said, the lesson rests, and goes on."""
 
     @pytest.fixture
-    def begun(self, tmp_path, writes_here, small_dictionaries):
+    def begun(self, tmp_path, small_dictionaries):
         begun = []
 
         def begin(**words):
