@@ -11,6 +11,12 @@ import pytest
 from tests import memory
 
 PROJECT = """
+import pytest
+
+@pytest.mark.slow
+def test_that_is_left_out():
+    pass
+
 def test_that_holds_much():
     assert len(b"." * 320_000_000)
 
@@ -48,5 +54,6 @@ def test_each_process_tells_what_it_held(tmp_path):
     )
     found = re.search(r"^memory held at most: (\S+), (\S+) GB$", done.stdout, re.MULTILINE)
     assert found, done.stdout + done.stderr
+    assert "1 slow test was left out" in done.stdout  # each process has left it out, one tells it
     most, least = map(float, found.groups())
     assert most >= 0.32 and 0 < least < most

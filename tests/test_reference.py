@@ -100,7 +100,7 @@ def test_agrees_with_scikit_learn(algo: str, name: str, seed: int) -> None:
     assert isinstance(dense, DenseGPC)
     peers = [SklearnGPC(domain, algo == "gpc-ns") for _ in range(domain.action_size)]
     replaced = 0
-    for obs, h in sequence(domain, 120, seed):
+    for obs, h in sequence(domain, 60, seed):
         action = dense.act(obs)
         expected_action = np.clip([peer.policy.predict(obs)[0] for peer in peers], -1, 1)
         np.testing.assert_allclose(action, expected_action, atol=1e-9, rtol=0)
@@ -223,7 +223,7 @@ def test_peers_agree_with_the_reference(algo: str, name: str) -> None:
     peers: list[Any] = [numpy_loop.LEARNERS[algo](name)]
     if algo != "coach":
         peers.append(sklearn_loop.SklearnGPC(algo, name))
-    for obs, h in sequence(DOMAINS[name], 250, seed=2):
+    for obs, h in sequence(DOMAINS[name], 120, seed=2):
         action, floats = dense.act(obs), tuple(obs.tolist())
         for peer in peers:
             assert peer.act(floats) == pytest.approx(action[0], abs=1e-6)
@@ -259,10 +259,10 @@ def test_peers_step_like_gymnasium(name: str, gym_name: str) -> None:
 
 def test_peers_repeat_a_seed_and_differ_between_seeds() -> None:
     first, again, other = (
-        numpy_loop.run("gpc", "cartpole", steps=3000, seed=seed, error=0.1, rate=0.05, delta=0.05)
+        numpy_loop.run("gpc", "cartpole", steps=1500, seed=seed, error=0.1, rate=0.05, delta=0.05)
         for seed in (0, 0, 1)
     )
     assert (first.returns, first.corrections) == (again.returns, again.corrections)
-    assert first.env_steps == 3000 and first.returns != other.returns
+    assert first.env_steps == 1500 and first.returns != other.returns
     fit = sklearn_loop.run("gpc", "cartpole", steps=300, seed=0, error=0.1, rate=0.05, delta=0.05)
     assert fit.returns == first.returns[: len(fit.returns)]

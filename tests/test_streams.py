@@ -38,7 +38,7 @@ def run(code, redirection="", **environment):
         pytest.param("ascii", b"1 +/- 2 - 3 \\xe9 * - \\u4e2d \\udcff", marks=pytest.mark.slow),
         ("ascii:strict", b"1 +/- 2 - 3 \\xe9 * - \\u4e2d \\udcff"),
         pytest.param("latin-1", b"1 \xb1 2 - 3 \xe9 * - \\u4e2d \\udcff", marks=pytest.mark.slow),
-        ("cp437", b"1 \xf1 2 - 3 \x82 * - \\u4e2d \\udcff"),
+        pytest.param("cp437", b"1 \xf1 2 - 3 \x82 * - \\u4e2d \\udcff", marks=pytest.mark.slow),
     ],
 )
 def test_characters_that_an_encoding_lacks(encoding, expected):
@@ -50,10 +50,11 @@ def test_characters_that_an_encoding_lacks(encoding, expected):
 @pytest.mark.parametrize(
     "environment",
     [
-        {"LC_ALL": "C"},
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        pytest.param({"LC_ALL": "POSIX"}, marks=pytest.mark.slow),
-        {"LANG": "junk"},
+        *(
+            pytest.param({name: value}, marks=pytest.mark.slow)
+            for name, value in (("LC_ALL", "C"), ("LC_ALL", "POSIX"), ("LANG", "junk"))
+        ),
     ],
     ids=str,
 )
@@ -77,7 +78,7 @@ def test_any_width(columns):
 @pytest.mark.parametrize(
     ("redirection", "words", "status", "said"),
     [
-        (">&-", "version", 0, b""),
+        pytest.param(">&-", "version", 0, b"", marks=pytest.mark.slow),
         (">&- 2>&- <&-", "version", 0, b""),
         ("2>&-", "sweep --env foo", 2, b""),
         (">/dev/full", "version", 1, b"gpcjax: error: [Errno 28] No space left on device: make room, then"),
@@ -88,7 +89,7 @@ def test_any_width(columns):
             b"gpcjax: error: [Errno 28] No space left on device: make room, then",
             marks=pytest.mark.slow,
         ),
-        ("2>/dev/full", "sweep --env foo", 2, b""),
+        pytest.param("2>/dev/full", "sweep --env foo", 2, b"", marks=pytest.mark.slow),
         (">/dev/full 2>/dev/full", "version", 1, b""),
     ],
 )
