@@ -80,6 +80,7 @@ def test_it_is_swept_among_built_in_ones(both):
     assert others[["step_size", "weight"]].isna().all(axis=None) and (others["policy_points"] > 0).any()
 
 
+@pytest.mark.slow
 def test_by_an_entry_point_alone_it_has_the_same_bits(both, tmp_path):
     settings = {**SETTINGS, "env": "drift"}
     alone = read_episodes(sweep(tmp_path / "out", algo="linear", step_size=0.5, **settings))
@@ -189,7 +190,11 @@ def test_damaged_words_are_left_out(said):
 
 
 def test_names():
+    """Those of entry points are the same things."""
     assert "drift" in registry.names("task") and "linear" in registry.names("learner")
+    assert type(make_env("drift")) is type(make_env("drifting:Drift"))
+    assert type(make_learner("linear", "drift")) is type(make_learner("drifting:Linear", "drifting:Drift"))
+    assert spec_of(**{**SETTINGS, "env": "drift"}, algo="linear").algo == ("linear",)
     assert registry.built_in("task") == ("cartpole", "pendulum", "lunarlander", "mountaincar")
 
 

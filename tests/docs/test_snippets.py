@@ -22,8 +22,9 @@ CODE = {name_of(page): blocks(page) for page in PAGES if blocks(page)}
 SHORTER = {
     "docs/python.md": {
         'make_learner("gpc", "cartpole")': 'make_learner("coach", "cartpole")',
-        "situation.time == 200": "situation.time == 20",
-        'algo="gpc", error=[0, 0.1]': 'algo="coach", error=[0, 0.1]',
+        'gpcjax.make_env("cartpole")': 'gpcjax.make_env("cartpole", max_steps=20)',
+        "in range(5)": "in range(2)",
+        'algo="gpc", error=[0, 0.1]': 'algo="coach", oracle="lqr", error=[0, 0.1]',
     }
 }
 """What a page says at length, and shorter: a loop's steps would be as the others, a learner takes longer to compile."""

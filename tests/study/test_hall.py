@@ -237,7 +237,15 @@ def test_it_goes_on_where_it_was_left(hall, tmp_path):
     assert any(later < earlier for earlier, later in itertools.pairwise(times))  # two programs
 
 
-def test_a_process_that_died(hall, tmp_path):
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("torn", "noted", "empty"),
+        pytest.param(("ended", "begun"), marks=pytest.mark.slow),
+    ],
+    ids="-".join,
+)
+def test_a_process_that_died(hall, tmp_path, names):
     """Wherever its file ends: within a line, between an episode's last lines, before its first."""
     page = Page(hall, tmp_path / "whole", seed=3).goes()
     page.press(1)
@@ -246,17 +254,18 @@ def test_a_process_that_died(hall, tmp_path):
     page.gone()
     lines = (page.run.folder / RECORD).read_bytes().splitlines(keepends=True)
     ended = next(index for index, line in enumerate(lines) if b'"end"' in line)
-    for name, kept in {
+    kept = {
         "torn": [*lines[:-1], lines[-1][:20]],
         "ended": lines[: ended + 1],
         "noted": lines[:ended],
         "begun": lines[:1],
         "empty": [],
-    }.items():
+    }
+    for name in names:
         folder = tmp_path / name
         folder.mkdir()
         shutil.copy(page.run.folder / COURSE, folder)
-        (folder / RECORD).write_bytes(b"".join(kept))
+        (folder / RECORD).write_bytes(b"".join(kept[name]))
         again = Page(hall, folder, seed=3).goes()
         frame = again.wait("frame")
         again.wait("frame", lambda each, frame=frame: each["n"] > frame["n"] + 3)

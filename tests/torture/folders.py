@@ -112,7 +112,7 @@ def judge(case: Case, reference: Rows, learned: pd.DataFrame, sealed: bool) -> s
 def torture(cases: int, seed: int, sealed: bool = True) -> Iterator[tuple[str, str | None, str]]:
     """The names of the faults of each case, what became of it (None: it was not right), and why."""
     with tempfile.TemporaryDirectory() as folder:
-        whole = finished(Path(folder, "whole"), first=FIRST if sealed else None)
+        whole = finished(Path(folder, "whole"), SPEC, FIRST if sealed else None)
         other = finished(Path(folder, "other"), OTHER)
         if not sealed:
             whole = unsealed(Path(folder, "unsealed"), whole)
