@@ -332,7 +332,8 @@ def test_a_damaged_folder_is_told(hall, tmp_path, does, message):
     assert hall.free == 6
 
 
-def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path):
+def test_a_full_disk_stops_one_run_until_there_is_room(hall, tmp_path, monkeypatch):
+    monkeypatch.setattr("gpcjax.study.hall.FLUSH_APART", 0.1)
     page = Page(hall, tmp_path / "full").goes()
     other = Page(hall, tmp_path / "other", seed=1).goes()
     page.wait("frame", lambda frame: frame["step"] == 3)

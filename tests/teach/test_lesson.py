@@ -188,7 +188,8 @@ def test_after_a_sleep_no_steps_are_made_up_for(held):
     assert len(held.messages("frame")) <= 2 + seconds / 0.01 + 0.25 / 0.01
 
 
-def test_map(held):
+def test_map(held, monkeypatch):
+    monkeypatch.setattr("gpcjax.teach.teller.MAP_APART", 0.0)
     held.ask("map", x=1, y=0, dim=0)
     drawn = held.wait("map", lambda drawn: drawn["x"] == 1)
     assert drawn["y"] == 0
