@@ -245,7 +245,8 @@ def course_of(monkeypatch, tmp_path):
 
 def saved(path, algo, env, told=True, learned=True, **options):
     """What learned one thing, or nothing, where a test asks for its settings alone."""
-    learner = make_learner(algo, env, **options)
+    room = {"capacity": ROOM} if algo in ("gpc", "gpc-ns") else {}
+    learner = make_learner(algo, env, **room | options)
     size, state = learner.action_size, learner.init()
     if learned:
         state, _ = learner.correct(state, np.ones(learner.obs_size), np.zeros(size), np.ones(size))
