@@ -213,7 +213,7 @@ def _to_compile(work: Work, compiling: float) -> float:
 
 
 def _to_begin(work: Work, compiling: float) -> float:
-    """The same, and what else comes before its blocks; where the program ran here before, its cells' seconds have that."""
+    """The same, and what else comes before its blocks; where it ran here before, its cells' seconds have that."""
     return _to_compile(work, compiling) + (0.0 if work.before else AT_FIRST * compiling)
 
 
