@@ -135,12 +135,12 @@ class TestInfo:
 
 class TestEval:
     def test_its_numbers_are_those_of_evaluate_and_of_play(self, told):
-        found = json.loads(told("eval", "mountaincar:pump", "--episodes", "6", "--seed", "3", "--json"))
+        found = json.loads(told("eval", "mountaincar:pump", "--episodes", "3", "--seed", "3", "--json"))
         env, expert = make_env("mountaincar"), gpcjax.make_expert("mountaincar", "pump")
-        reference = evaluate(env, expert, 9)
+        reference = evaluate(env, expert, 6)
         returns = [each["return"] for each in found["episodes"]]
         np.testing.assert_allclose(returns, reference.returns[3:], rtol=1e-12)
-        assert [each["seed"] for each in found["episodes"]] == [3, 4, 5, 6, 7, 8]
+        assert [each["seed"] for each in found["episodes"]] == [3, 4, 5]
         assert [each["steps"] for each in found["episodes"]] == reference.length[3:].tolist()
         interval = mean_interval(np.array(returns)[:, None])
         assert tuple(found[name] for name in ("mean", "lower", "upper")) == interval
@@ -211,11 +211,11 @@ def test_a_lesson_is_taken_by_its_folder(told, tmp_path):
 
 def test_a_gif_is_that_of_play(told, capsys):
     policy = shipped_path("pendulum")
-    text = told("gif", policy, "--out", "deep/x.gif", "--seconds", "0.3")
+    text = told("gif", policy, "--out", "deep/x.gif", "--seconds", "0.2")
     assert text.splitlines()[0] == "pendulum" and text.splitlines()[-1].startswith("deep/x.gif: ")
     with Image.open("deep/x.gif") as image:
         assert image.n_frames > 3
-    assert cli.main(["play", str(policy), "--gif", "y.gif", "--seconds", "0.3"]) == 0
+    assert cli.main(["play", str(policy), "--gif", "y.gif", "--seconds", "0.2"]) == 0
     assert Path("y.gif").read_bytes() == Path("deep/x.gif").read_bytes()
 
 
