@@ -192,7 +192,7 @@ class Block:
         return list(zip((self.runs[place] for place in places), self._take(places), strict=True))
 
     def leaving(self, learned: bool = True) -> list[tuple[Occupant, Lane]]:
-        """Takes out the lanes that go no further here, with their runs; those that ended perhaps without their state."""
+        """Takes out the lanes that go no further here, with their runs; those that ended maybe without a state."""
         ended, outgrown = self._places(Phase.FINISHED), self._places(Phase.NEEDS_ROOM)
         places = ended + outgrown
         lanes = self._take(ended, learned) + self._take(outgrown)
