@@ -12,7 +12,6 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteK
 from gpcjax.gp.fit import BOUNDS, fit, log_marginal_likelihood
 from gpcjax.gp.kernels import SMOOTHNESSES, SQUARED_EXPONENTIAL, Kernel
 
-
 FEW = 8
 """Points, of which each fit is the same program."""
 
