@@ -169,8 +169,8 @@ class TestRecord:
 
     def test_made_again_to_the_bit(self, coach, tmp_path):
         """With more taken back than usual."""
-        session = Session(coach, **LATE, undos=40, record=tmp_path / "record")
-        lesson(session, 0, 30)
+        session = Session(coach, **LATE, undos=30, record=tmp_path / "record")
+        lesson(session, 0, 26)
         taken = sum(session.undo() for _ in range(30))
         assert taken > 20 and session.episode > 0
         lesson(session, 1, 4)
