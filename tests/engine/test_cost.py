@@ -9,6 +9,8 @@ import pytest
 
 from gpcjax.engine.pool import Finished, Pool, Start, Tier
 from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.learners.base import Learner
+from gpcjax.learners.coach import COACH
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.gpc import GPC
 from gpcjax.sweep.build import make_oracle
@@ -18,13 +20,21 @@ TRACED: list[str] = []
 EXECUTED: list[int] = []
 
 
-class Counting(GPC):
-    """GPC that tells when a correction is traced, and when one is computed."""
+class Counting(Learner):
+    """Tells when a correction is traced, and when one is computed."""
 
-    def _correct(self, states, where, obs, action, advice):
+    def _correct(self, *given):
         TRACED.append("correct")
         jax.debug.callback(lambda: EXECUTED.append(1))
-        return super()._correct(states, where, obs, action, advice)
+        return super()._correct(*given)
+
+
+class CountingGPC(Counting, GPC):
+    pass
+
+
+class CountingCOACH(Counting, COACH):
+    pass
 
 
 def pool_of(learner, starts, episodes=2, tiers=TIERS):
@@ -42,10 +52,20 @@ def finish(pool, starts):
     return [each.lane for each in finished]
 
 
-def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compiled_plainly):
+@pytest.mark.parametrize(
+    ("counting", "learner"),
+    [
+        (CountingCOACH, lambda: make_learner("coach", "cartpole")),
+        pytest.param(
+            CountingGPC, lambda: make_learner("gpc", "cartpole", capacity=16), marks=pytest.mark.slow
+        ),
+    ],
+    ids=["coach", "gpc"],
+)
+def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compiled_plainly, counting, learner):
     """Not for each lane, round or step; and nothing is traced once more for more runs."""
-    gpc = make_learner("gpc", "cartpole", capacity=16)
-    learner = Counting(**{field.name: getattr(gpc, field.name) for field in dataclasses.fields(gpc)})
+    plain = learner()
+    learner = counting(**{field.name: getattr(plain, field.name) for field in dataclasses.fields(plain)})
     pool, starts = pool_of(learner, 24, tiers=TIERS[1:])
     TRACED.clear(), EXECUTED.clear()
     lanes = finish(pool, starts)
