@@ -182,6 +182,8 @@ def test_widths():
     assert [lanes_for(places) for places in (1, 8, 9, 64, 65)] == [8, 8, 16, 64, 128]
     assert rooms_of([[4, 8], [8, 8]]) == ((4, 8), (8, 8))
     learner = make("gpc")
+    widths = {Classroom(learner, None, [(64, 64)], places)._tiers[0].lanes for places in (1, 16, 64, 1000)}
+    assert widths == {LEAST, MOST}
     other = dataclasses.replace(learner, constant_rate=learner.constant_rate + 1.0)
     assert kind_of(learner, None) == kind_of(other, None) != kind_of(make("gpc-ns"), None)
 
@@ -225,6 +227,7 @@ class TestDeferred:
         assert len(Recording.read(tmp_path / "record")[1]) == 2 and len(recording._waiting) == 2
 
 
+@pytest.mark.slow
 def test_blocks_of_every_width_act_alike(compiled_as_shipped):
     """64 lanes did not: so no block is wider than the widest here."""
     learner, rng = make_learner("gpc", **SIZES, capacity=64), np.random.default_rng(0)

@@ -75,7 +75,6 @@ def test_it_knows_no_uncertainty_and_no_dictionary():
     assert learner.grow(state) is state and learner.resize(state, 1, 1) is state
 
 
-@pytest.mark.slow
 def test_direct_jitted_and_batched_calls_agree():
     learner = make_learner("coach", "lunarlander")
     states = [taught(learner, seed=seed) for seed in range(3)]

@@ -164,6 +164,7 @@ def test_every_status_has_a_word_and_a_message():
 
 @gpc_first
 class TestOneCodePath:
+    @pytest.mark.slow
     def test_direct_jitted_and_batched_calls_agree(self, algo):
         """Three corrections of three learners at once, with hyperparameters of their own."""
         learners = [
