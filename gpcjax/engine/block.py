@@ -101,6 +101,8 @@ class Block:
         """Lanes of the smaller tier that need this one, and lanes of this tier that go on from a snapshot."""
         self._counters, self._loop, self._template, self._kept = counters, loop, template, kept
         self._leaves: list[Any] = []
+        self._looked_at: Lane | None = None
+        """The leaves as a block, if the host has looked at them since a program gave them."""
         self._structure: Any = None
         self._programs: dict[str, Callable[..., Any]] = {}
         self._rounds = 16
@@ -109,11 +111,15 @@ class Block:
     @property
     def lanes(self) -> Lane:
         """The block. Programs take and give its leaves: modules are put together when the host looks, not each time."""
-        return self._structure.unflatten(self._leaves)
+        block = self._looked_at
+        if block is None:
+            block = self._looked_at = self._structure.unflatten(self._leaves)
+        return block
 
     @lanes.setter
     def lanes(self, block: Lane) -> None:
         self._leaves, self._structure = jax.tree.flatten(block)
+        self._looked_at = block
 
     @property
     def free(self) -> int:
@@ -185,10 +191,11 @@ class Block:
         self._set_phase(places, Phase.RUNNING)
         return list(zip((self.runs[place] for place in places), self._take(places), strict=True))
 
-    def leaving(self) -> list[tuple[Occupant, Lane]]:
-        """Takes out the lanes that go no further here, with their runs."""
-        places = self._places(Phase.FINISHED, Phase.NEEDS_ROOM)
-        lanes = self._take(places)
+    def leaving(self, learned: bool = True) -> list[tuple[Occupant, Lane]]:
+        """Takes out the lanes that go no further here, with their runs; those that ended maybe without a state."""
+        ended, outgrown = self._places(Phase.FINISHED), self._places(Phase.NEEDS_ROOM)
+        places = ended + outgrown
+        lanes = self._take(ended, learned) + self._take(outgrown)
         self._set_phase(places, Phase.EMPTY)
         left = [int(lane.episodes - lane.episode) for lane in lanes if lane.phase == Phase.NEEDS_ROOM]
         self._pace = self._pace._replace(
@@ -299,6 +306,7 @@ class Block:
         if program not in self._programs:
             with self._compiling():
                 self._programs[program] = self._compiled(program, function, arguments, given)
+        self._looked_at = None  # its arrays are given away
         self._leaves, others = self._programs[program](self._leaves, given)
         return tuple(others)
 
@@ -359,13 +367,14 @@ class Block:
             block, phase=jax.device_put(np.full(self.tier.lanes, Phase.EMPTY, np.int32))
         )
 
-    def _take(self, places: Sequence[int]) -> list[Lane]:
-        """Copies of lanes, on the host."""
+    def _take(self, places: Sequence[int], learned: bool = True) -> list[Lane]:
+        """Copies of lanes, on the host, with or without what they learned."""
         if not places:
             return []
         if together():
             return self._take_from_device(places)
-        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self.lanes)
+        block = self.lanes if learned else dataclasses.replace(self.lanes, state=None, controller=None)
+        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], block)
         return _apart(taken, len(places))
 
     def _take_from_device(self, places: Sequence[int]) -> list[Lane]:

@@ -262,7 +262,7 @@ from gpcjax.sweep import worker
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.run import sweep
 from tests.sweep.threads import Threads
-worker.baseline = lambda env, name: dict(mean=0.0, std=1.0, n=2)  # which are no rows
+worker.baseline = lambda *_: dict(mean=0.0, std=1.0, n=2)  # which are no rows
 sweep("inprocess", executor=InProcess(), **{settings!r})
 sweep("threads", executor=Threads(2), **{settings!r})
 """
