@@ -15,4 +15,6 @@ def pool(request):
 @pytest.fixture(scope="class")
 def together(request, pool):
     """Every run of `starts`, side by side; more than the first block has places."""
-    return run(pool, starts(request.cls.algo))
+    lanes = run(pool, starts(request.cls.algo))
+    request.cls.compiled = pool.counters.compilations
+    return lanes

@@ -9,6 +9,8 @@ import pytest
 
 from gpcjax.engine.pool import Finished, Pool, Start, Tier
 from gpcjax.envs.registry import make_env, make_expert
+from gpcjax.learners.base import Learner
+from gpcjax.learners.coach import COACH
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.gpc import GPC
 from gpcjax.sweep.build import make_oracle
@@ -18,13 +20,21 @@ TRACED: list[str] = []
 EXECUTED: list[int] = []
 
 
-class Counting(GPC):
-    """GPC that tells when a correction is traced, and when one is computed."""
+class Counting(Learner):
+    """Tells when a correction is traced, and when one is computed."""
 
-    def _correct(self, states, where, obs, action, advice):
+    def _correct(self, *given):
         TRACED.append("correct")
         jax.debug.callback(lambda: EXECUTED.append(1))
-        return super()._correct(states, where, obs, action, advice)
+        return super()._correct(*given)
+
+
+class CountingGPC(Counting, GPC):
+    pass
+
+
+class CountingCOACH(Counting, COACH):
+    pass
 
 
 def pool_of(learner, starts, episodes=2, tiers=TIERS):
@@ -42,10 +52,20 @@ def finish(pool, starts):
     return [each.lane for each in finished]
 
 
-def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compiled_plainly):
+@pytest.mark.parametrize(
+    ("counting", "learner"),
+    [
+        (CountingCOACH, lambda: make_learner("coach", "cartpole")),
+        pytest.param(
+            CountingGPC, lambda: make_learner("gpc", "cartpole", capacity=16), marks=pytest.mark.slow
+        ),
+    ],
+    ids=["coach", "gpc"],
+)
+def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compiled_plainly, counting, learner):
     """Not for each lane, round or step; and nothing is traced once more for more runs."""
-    gpc = make_learner("gpc", "cartpole", capacity=16)
-    learner = Counting(**{field.name: getattr(gpc, field.name) for field in dataclasses.fields(gpc)})
+    plain = learner()
+    learner = counting(**{field.name: getattr(plain, field.name) for field in dataclasses.fields(plain)})
     pool, starts = pool_of(learner, 24, tiers=TIERS[1:])
     TRACED.clear(), EXECUTED.clear()
     lanes = finish(pool, starts)
@@ -61,10 +81,7 @@ def test_a_correction_is_computed_where_there_is_advice_and_nowhere_else(compile
 
 @pytest.fixture(
     scope="module",
-    params=[
-        ("gpc", TIERS[1:]),
-        *(pytest.param((algo, TIERS), marks=pytest.mark.slow) for algo in ("gpc", "gpc-ns")),
-    ],
+    params=[("gpc", TIERS[1:]), ("gpc", TIERS), ("gpc-ns", TIERS)],
     ids=lambda given: f"{given[0]}-{len(given[1])}",
 )
 def used(request):
@@ -76,9 +93,9 @@ def used(request):
     return pool
 
 
-def test_no_block_is_copied(used):
+def no_block_is_copied(pool):
     """The matrices of all lanes are updated in place: a copy at each correction would cost more than all else."""
-    for block in used._blocks:
+    for block in pool._blocks:
         text = block._programs["advance"].as_text()
         state = block.lanes.state
         matrices = [matrix for matrix in (state.policy.matrix, state.human.matrix) if matrix.size]
@@ -89,12 +106,22 @@ def test_no_block_is_copied(used):
             assert not re.search(rf"= {shape}\S* copy\(", text)
 
 
-def test_bytes_of_a_lane(used):
-    """A lane is little more than its two factors."""
-    for block in used._blocks:
-        tier = block.tier
+def no_lane_is_much_more_than_its_factors(pool):
+    """A lane is little more than the two factors of each dimension of its action."""
+    for block in pool._blocks:
+        tier, actions = block.tier, block.lanes.action.shape[0]
         held = sum(leaf.nbytes for leaf in jax.tree.leaves(block.lanes)) / tier.lanes
         factors = 8 * (tier.policy_capacity**2 + tier.human_capacity**2)
         vectors = 8 * (tier.policy_capacity * 12 + tier.human_capacity * 8)
         log = 200 * (3 * 4 + 3 * 8 + 3)
-        assert held < factors + vectors + log + 1900
+        assert held < actions * (factors + vectors + 800) + log + 1100
+
+
+@pytest.mark.slow
+def test_no_block_is_copied(used):
+    no_block_is_copied(used)
+
+
+@pytest.mark.slow
+def test_bytes_of_a_lane(used):
+    no_lane_is_much_more_than_its_factors(used)

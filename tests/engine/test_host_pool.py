@@ -22,3 +22,7 @@ class TestGPCNS(OnHost):
 
 class TestCOACH(OnHost):
     algo = "coach"
+
+    @pytest.mark.slow
+    def test_against_a_plain_loop(self, pool, together):
+        super().test_against_a_plain_loop(pool, together)

@@ -1,5 +1,10 @@
-"""What a run has learned is handed out while it goes on, and runs go on from snapshots: no bit of a row changes."""
+"""What a run has learned is handed out while it goes on, and runs go on from snapshots: no bit of a row changes.
 
+That of GPC, which passes through tiers, goes on in test_pool.py, and is kept for COACH in test_rollout.py: their blocks
+are compiled anyway.
+"""
+
+import contextlib
 import dataclasses
 import json
 import random
@@ -43,17 +48,25 @@ def plain_starts(algo):
     return [start(index, learner(algo), oracle(rate=rate), index) for index, rate in enumerate(rates)]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def short_chunks():
-    """A few rounds or steps each, so that the host looks often."""
+@contextlib.contextmanager
+def short_chunks(blocks=()):
+    """A few rounds or steps each, so that the host looks often, from the next chunk of `blocks` on."""
+    for block in blocks:
+        block._rounds = 4
     with pytest.MonkeyPatch.context() as patch:
         for loop in tuple(block_module.CHUNK_SECONDS):
             patch.setitem(block_module.CHUNK_SECONDS, loop, 1e-9)
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def chunks():
+    with short_chunks():
+        yield
+
+
 @pytest.fixture(scope="class")
-def pool(request, short_chunks):
+def pool(request, chunks):
     """For the task, the learner and the tiers of the class."""
     case = request.cls
     if case.as_shipped:
@@ -63,8 +76,12 @@ def pool(request, short_chunks):
 
 @pytest.fixture(scope="class")
 def observed(request, pool):
+    return observe(pool, request.cls.starts())
+
+
+def observe(pool, starts):
     """The lanes of a run that nothing disturbs, and the snapshots between all of its chunks."""
-    snapshots, lanes, waiting = [], {}, iter(request.cls.starts())
+    snapshots, lanes, waiting = [], {}, iter(starts)
     pool.run(
         lambda: next(waiting, None),
         lambda finished: lanes.update({finished.name: finished.lane}),
@@ -73,10 +90,10 @@ def observed(request, pool):
     return lanes, [each for each in snapshots if each]
 
 
-class GoesOn:
-    """What holds of any task, learner and teacher; each case has a class, whose pools are compiled once."""
+class Case:
+    """A task, learners and teachers; each case has a class, whose pools are compiled once."""
 
-    env, tiers, as_shipped = Drift(), (SMALL, LARGE), False
+    env, tiers, episodes, as_shipped = Drift(), (SMALL, LARGE), EPISODES, False
 
     @staticmethod
     def starts():
@@ -96,6 +113,10 @@ class GoesOn:
         for name, lane in lanes.items():
             assert_same_bits(kept(lane), kept(expected[name]))
 
+
+class GoesOn(Case):
+    """What holds of any snapshot."""
+
     def test_from_any_moment(self, pool, observed):
         """Some runs from the middle, some from the start, whatever else is in the pool."""
         lanes, snapshots = observed
@@ -113,7 +134,10 @@ class GoesOn:
         lanes, snapshots = observed
         resumed = iter([pool.resume(each) for each in snapshots[2]])
         later = []
-        pool.run(lambda: next(resumed, None), lambda finished: None, lambda: later.append(pool.snapshot()))
+        with short_chunks(pool._blocks):
+            pool.run(
+                lambda: next(resumed, None), lambda finished: None, lambda: later.append(pool.snapshot())
+            )
         for taken in (later[0], later[3]):
             self.agrees(self.go_on(pool, taken), lanes)
 
@@ -126,15 +150,19 @@ class GoesOn:
                 assert_same_bits(got.lane, given.lane)
                 assert (got.name, got.capacities) == (given.name, given.capacities)
                 np.testing.assert_array_equal(got.executed, given.executed)
-            if self.tiers[-1] is LARGE and any(each.capacities == (64, 64) for each in taken):
+            if self.tiers[-1] == LARGE and any(each.capacities == (64, 64) for each in taken):
                 held = sum(leaf.nbytes for each in taken for leaf in jax.tree.leaves(each.lane))
                 assert sum(array.nbytes for array in arrays.values()) < 0.7 * held
+
+
+class Keeps(Case):
+    """What holds of all that is kept."""
 
     def test_keeping_changes_no_bit(self, pool, observed):
         """And what is kept is all that a run is at the end of that episode: from there it comes to the same end."""
         lanes, _ = observed
         starts, given = self.starts(), []
-        keeping = Pool(self.env, expert, EPISODES, starts[0], self.tiers, Keep(every=EVERY, best=True))
+        keeping = Pool(self.env, expert, self.episodes, starts[0], self.tiers, Keep(every=EVERY, best=True))
         waiting, again = iter(starts), {}
 
         def deliver(finished):
@@ -152,7 +180,7 @@ class GoesOn:
         for name, lane in lanes.items():
             of_run = [(episode, lane) for other, episode, lane in given if other == name]
             assert of_run[-1][0] is None, "kept before it is delivered"
-            assert [episode for episode, _ in of_run[:-1]] == expected_episodes(lane)
+            assert [episode for episode, _ in of_run[:-1]] == expected_episodes(lane, self.episodes)
             for episode, at_end in of_run[:-1]:
                 assert_same_bits(at_end.rows.returns[:episode], lane.rows.returns[:episode])
                 assert not at_end.rows.length[episode:].any()
@@ -170,10 +198,10 @@ class GoesOn:
         return Snapshot(name, lane, sizes[held], executed)
 
 
-def expected_episodes(lane):
+def expected_episodes(lane, episodes):
     """From 1: those of `EVERY`, and each that returned more than all before it, if the run did not stop within it."""
     best, expected = -np.inf, []
-    complete = EPISODES if lane.status == Status.OK else int(np.flatnonzero(lane.rows.length).max())
+    complete = episodes if lane.status == Status.OK else int(np.flatnonzero(lane.rows.length).max())
     for index, value in enumerate(lane.rows.returns[:complete].tolist()):
         if value > best or (index + 1) % EVERY == 0:
             expected.append(index + 1)
@@ -181,17 +209,22 @@ def expected_episodes(lane):
     return expected
 
 
-class TestGPC(GoesOn):
-    starts = staticmethod(lambda: plain_starts("gpc"))
+class Grows(GoesOn):
+    """Where lanes pass through tiers."""
 
     def test_a_lane_that_waits_for_a_larger_block(self, pool, observed):
         lanes, snapshots = observed
         stuck = [[each for each in taken if each.lane.phase == Phase.NEEDS_ROOM] for taken in snapshots]
         stuck = [each for each in stuck if each]
-        assert stuck and all(each.capacities == (4, 4) for each in stuck[0])
+        assert stuck and all(each.capacities == self.tiers[0].capacities for each in stuck[0])
         promoted = pool.counters.promotions
         self.agrees(self.go_on(pool, stuck[0]), lanes)
         assert pool.counters.promotions == promoted, "it was counted when it left"
+
+
+@pytest.mark.slow
+class TestGPC(Grows, Keeps):
+    starts = staticmethod(lambda: plain_starts("gpc"))
 
 
 @pytest.mark.slow
@@ -201,9 +234,12 @@ class TestGPCAsShipped(TestGPC):
     as_shipped = True
 
 
-class TestLateOnHost(GoesOn):
-    env, tiers = host_drift(), (NARROW,)
-    starts = staticmethod(lambda: [late(index, learner("coach"), index) for index in range(10)])
+def late_starts():
+    return [late(index, learner("coach"), index) for index in range(10)]
+
+
+class TestLateOnHost(GoesOn, Keeps):
+    env, tiers, starts = host_drift(), (NARROW,), staticmethod(late_starts)
 
     @pytest.mark.slow
     def test_twice_in_a_row(self, pool, observed):

@@ -15,6 +15,8 @@ from gpcjax.envs.base import Env
 from gpcjax.envs.host import HostEnv
 from gpcjax.learners.base import Status
 from tests.engine.tasks import EPISODES, TIERS, Drift, coins_at, kept, plain, run, starts
+from tests.engine.test_cost import no_block_is_copied, no_lane_is_much_more_than_its_factors
+from tests.engine.test_keeping import Grows, observe, short_chunks
 from tests.trees import assert_same_bits
 
 
@@ -28,6 +30,8 @@ class Bits:
 
     algo: str
     env: Env | HostEnv = Drift()
+    compiled: int
+    """Programs, when all runs were through for the first time: going on from a snapshot has some of its own."""
 
     def test_the_runs_are_worth_comparing(self, pool, together):
         """They pass through every tier, end at different times and for different reasons, and learn."""
@@ -132,10 +136,10 @@ class Bits:
 
     def test_one_compilation_of_each_program(self, pool, together):
         """One to begin a run, and for each tier one to advance and, but for the first, one to promote into it."""
-        count = 1 + len(pool._blocks) + len(pool._blocks) - 1
-        assert pool.counters.compilations == count
+        assert self.compiled == 1 + len(pool._blocks) + len(pool._blocks) - 1
+        before = pool.counters.compilations
         run(pool, starts(self.algo)[::-1])
-        assert pool.counters.compilations == count
+        assert pool.counters.compilations == before
 
     def test_counters(self, pool, together):
         before = dataclasses.replace(pool.counters)
@@ -155,8 +159,24 @@ class Bits:
         assert lane.seed.shape == () and not lane.waiting
 
 
-class TestGPC(Bits):
-    algo = "gpc"
+@pytest.fixture(scope="class")
+def observed(request, pool, together):
+    """The lanes of a run, and the snapshots of it."""
+    with short_chunks(pool._blocks):
+        return observe(pool, request.cls.starts())
+
+
+class TestGPC(Bits, Grows):
+    """Of its blocks it is also seen what they cost, and that runs go on from snapshots."""
+
+    algo, tiers = "gpc", TIERS["gpc"]
+    starts = staticmethod(lambda: starts("gpc"))
+
+    def test_no_block_is_copied(self, pool, together):
+        no_block_is_copied(pool)
+
+    def test_bytes_of_a_lane(self, pool, together):
+        no_lane_is_much_more_than_its_factors(pool)
 
 
 @pytest.mark.slow

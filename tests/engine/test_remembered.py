@@ -299,9 +299,9 @@ def test_memory_that_nobody_sees_is_told(monkeypatch):
     ):
         evaluate(Drift(), policy, 2)
     with pytest.raises(ValueError, match=r"^the policy remembers something"):
-        evaluate(Drift(), lambda obs: np.last, 2)
+        evaluate(TASK, lambda obs: np.last, 2)
     np.last = np.zeros(2)
-    evaluate(Drift(), lambda obs: policy(np.asarray(obs)), 2)
+    evaluate(TASK, lambda obs: policy(np.asarray(obs)), 2)
     assert isinstance(np.last, np.ndarray)
 
 

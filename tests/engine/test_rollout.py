@@ -12,7 +12,8 @@ from gpcjax.engine.lanes import LOGGED_CORRECTIONS
 from gpcjax.engine.pool import Tier
 from gpcjax.learners.base import Status
 from gpcjax.teachers.oracle import Oracle
-from tests.engine.tasks import EPISODES, Drift, kept, learner, make_pool, oracle, plain, run, start
+from tests.engine.tasks import EPISODES, Drift, coins_at, kept, learner, make_pool, oracle, plain, run, start
+from tests.engine.test_keeping import Keeps, observe, short_chunks
 from tests.trees import assert_same_bits
 
 RECORDED = Drift(force=0.0)
@@ -51,10 +52,15 @@ def actions(lane, state, obs):
     return [np.asarray(each) for each in _actions(jax.tree.map(jnp.asarray, lane), state, obs)]
 
 
+def steady(rate=0.5, **numbers):
+    """A teacher whose chance is the same in all episodes, as a schedule has it: one program is for all of COACH."""
+    return oracle(schedule=(rate,) * 3, **numbers)
+
+
 @pytest.fixture(scope="module")
 def coaches():
     """A pool for COACH on the recording, whose program is compiled once."""
-    return make_pool(RECORDED, start(0, learner("coach"), oracle(), 0), (NARROW,), MANY)
+    return make_pool(RECORDED, start(0, learner("coach"), steady(), 0), (NARROW,), MANY)
 
 
 @pytest.mark.parametrize(
@@ -73,18 +79,68 @@ def test_against_a_plain_loop(algo, tier, coaches):
         (4, {"rate": 0.2, "delta": 0.3}),
         (5, {"rate": 1.0, "delta": 0.0}),
     ]
-    large_steps = {"magnitude": 1.0} if algo == "coach" else {"constant_rate": 0.3}
+    large_steps, teacher = (
+        ({"magnitude": 1.0}, steady) if algo == "coach" else ({"constant_rate": 0.3}, oracle)
+    )
     starts = [
-        start(index, learner(algo, tier.policy_capacity, **large_steps), oracle(**teaching), seed)
+        start(index, learner(algo, tier.policy_capacity, **large_steps), teacher(**teaching), seed)
         for index, (seed, teaching) in enumerate(settings)
     ]
     lanes = run(coaches if algo == "coach" else make_pool(RECORDED, starts[0], (tier,), MANY), starts)
-    for each in starts:
+    for each in starts[1:]:  # the usual one is also beside those whose action is no number
         agrees(lanes[each.name], plain(RECORDED, each, tier, MANY))
     # The log is full where the teacher is busy, and goes no further.
     busy = lanes[3]
     assert busy.log.count == LOGGED_CORRECTIONS < busy.rows.corrections.sum()
     assert lanes[1].rows.clipped.sum() > 0
+
+
+def each_episode_has_its_own_chance(env, make):
+    """The last one for all that follow; and each lane has its own."""
+    schedules = [(0.0, 0.9, 0.3), (0.6, 0.0, 1.0)]
+    starts = [
+        start(seed, learner("coach"), oracle(schedule=schedule, delta=0.0), seed)
+        for seed, schedule in enumerate(schedules)
+    ]
+    lanes = run(make(starts[0]), starts)
+    for each, schedule in zip(starts, schedules, strict=True):
+        lane = lanes[each.name]
+        agrees(lane, plain(env, each, NARROW, MANY))
+        for episode in range(MANY):
+            chance, length = (*schedule, *schedule[-1:] * MANY)[episode], int(lane.rows.length[episode])
+            drawn = coins_at(each.seed, np.full(env.max_steps, episode), np.arange(env.max_steps), 2)
+            below = np.asarray(drawn)[:length] < chance
+            assert lane.rows.asked[episode] == below.any(1).sum()
+            # An action that is the target is met with silence.
+            assert (chance > 0) == (lane.rows.corrections[episode] > 0)
+            assert lane.rows.corrections[episode] <= below.sum()
+            np.testing.assert_allclose(lane.rows.chance_sum[episode], chance * lane.rows.asked[episode])
+
+
+def test_a_schedule_gives_each_episode_its_own_chance(coaches):
+    each_episode_has_its_own_chance(RECORDED, lambda first: coaches)
+
+
+class TestKeeping(Keeps):
+    """Of what the others run through, whose blocks keep nothing."""
+
+    env, tiers, episodes = RECORDED, (NARROW,), MANY
+
+    @staticmethod
+    def starts():
+        rates = (0.5, 0.5, 0.9, 0.05, 0.02, 0.3, 0.5, 0.7, 0.1, 0.01)
+        return [start(index, learner("coach"), steady(rate), index) for index, rate in enumerate(rates)]
+
+
+@pytest.fixture
+def pool(coaches):
+    return coaches
+
+
+@pytest.fixture
+def observed(request, pool):
+    with short_chunks(pool._blocks):
+        yield observe(pool, request.cls.starts())
 
 
 class TestFull:
@@ -194,7 +250,7 @@ def test_what_is_no_number_ends_the_run():
 
 def test_an_action_that_is_no_number_is_never_executed(coaches):
     """Though this task would take no notice of it, and a broken run stops beside healthy ones."""
-    starts = [start(seed, learner("coach"), oracle(), seed) for seed in range(4)]
+    starts = [start(seed, learner("coach"), steady(), seed) for seed in range(4)]
     for index, value in ((1, np.nan), (2, np.inf)):
         grid = eqx.tree_at(lambda learner: learner.grid.lower, starts[index].learner, np.full(2, value))
         starts[index] = dataclasses.replace(starts[index], learner=grid)
@@ -210,7 +266,7 @@ def test_an_action_that_is_no_number_is_never_executed(coaches):
 
 
 def test_a_correction_that_is_not_finite_stops_the_run_there(coaches):
-    each = start(0, learner("coach"), oracle(), 0)
+    each = start(0, learner("coach"), steady(), 0)
     infinite = eqx.tree_at(lambda learner: learner.magnitude, each.learner, np.full(2, np.inf))
     each = dataclasses.replace(each, learner=infinite)
     lane = run(coaches, [each])[0]

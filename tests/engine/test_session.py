@@ -90,9 +90,9 @@ class TestPlainly:
         session.advise([1, 1])
         assert_close(session.state, gpc.correct(gpc.init(), PLACE, [0.5, -1.0], [1, 1])[0], 1e-12)
 
-    def test_credit(self, gpc):
+    def test_credit(self, coach):
         """Advice is about the step of two steps before, as it was executed; and never about another episode."""
-        session, state = Session(gpc, credit=0.2, time_step=0.1), gpc.init()
+        session, state = Session(coach, credit=0.2, time_step=0.1), coach.init()
         for episode in range(2):
             path = []
             for step in range(4):
@@ -106,7 +106,7 @@ class TestPlainly:
                 if step < 2:
                     assert info.status == Status.OK and not np.asarray(info.rate).any()
                 else:
-                    state, _ = gpc.correct(state, *path[step - 2], advice)
+                    state, _ = coach.correct(state, *path[step - 2], advice)
                 assert_close(session.state, state, 1e-12)
             session.end_episode()
         assert session.corrections == 8 and session.episode == 1
@@ -169,8 +169,8 @@ class TestRecord:
 
     def test_made_again_to_the_bit(self, coach, tmp_path):
         """With more taken back than usual."""
-        session = Session(coach, **LATE, undos=40, record=tmp_path / "record")
-        lesson(session, 0, 30)
+        session = Session(coach, **LATE, undos=30, record=tmp_path / "record")
+        lesson(session, 0, 26)
         taken = sum(session.undo() for _ in range(30))
         assert taken > 20 and session.episode > 0
         lesson(session, 1, 4)

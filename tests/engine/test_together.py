@@ -12,6 +12,7 @@ from gpcjax.sweep.build import make_pool, start_of
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import spec_of
 from tests.engine import tasks
+from tests.engine.test_rollout import RECORDED, agrees
 
 COUNTED = ("length", "corrections", "policy_points", "human_points", "full", "asked")
 
@@ -35,14 +36,6 @@ CASES = {
 TIER = Tier(4, 8, 8)
 
 
-def learned_small():
-    """Three runs of the tests' own task, both of whose actions are advised until dictionaries are full."""
-    given = tasks.learner("gpc", on_full="replace-nearest", sparsify=False)
-    starts = [tasks.start(seed, given, tasks.oracle(rate=0.6, delta=0.0), seed) for seed in range(3)]
-    lanes = tasks.run(tasks.make_pool(tasks.Drift(), starts[0], (TIER,), 1), starts)
-    return [lanes[each.name] for each in starts]
-
-
 def learned(settings):
     cells = list(plan(spec_of(**{"episodes": 2, "seeds": 3, "rate": 0.1, **settings})))
     starts, finished = iter(cells), {}
@@ -63,11 +56,16 @@ def accelerated(monkeypatch):
     )
 
 
-def test_small_ones_all_at_once_are_one_by_one(accelerated):
-    apart = learned_small()
-    assert all(lane.rows.full.sum() > 0 for lane in apart)
+def test_small_ones_all_at_once_are_what_a_plain_loop_makes_of_each(accelerated):
+    """Three runs on recorded observations, both of whose actions are advised until dictionaries are full."""
+    given = tasks.learner("gpc", on_full="replace-nearest", sparsify=False)
+    starts = [tasks.start(seed, given, tasks.oracle(rate=0.6, delta=0.0), seed) for seed in range(3)]
+    apart = [tasks.plain(RECORDED, each, TIER, 1) for each in starts]
     accelerated()
-    agree(learned_small(), apart)
+    lanes = tasks.run(tasks.make_pool(RECORDED, starts[0], (TIER,), 1), starts)
+    for each, expected in zip(starts, apart, strict=True):
+        assert lanes[each.name].rows.full.sum() > 0
+        agrees(lanes[each.name], expected)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import runpy
 import subprocess
 import sys
 import threading
@@ -14,8 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import threadpoolctl
+from jax._src import xla_bridge
 
 import gpcjax
+from gpcjax import _x64
 from gpcjax.fixed import fixed
 from gpcjax.gp.threads import one_thread
 from gpcjax.learners import calls
@@ -90,6 +93,26 @@ def test_one_trace_for_each_structure():
 
 def test_other_settings_are_other_programs():
     """Structures that differ in what is static, with states that do not."""
+
+    class Signed(Linear):
+        sign: float = eqx.field(default=1.0, static=True)
+
+        def propose(self, state, obs):
+            return self.sign * super().propose(state, obs)
+
+        def learn(self, state, moment, advice, key):
+            return super().learn(state, moment, self.sign * advice, key)
+
+    state, obs = np.full((2, 3), 0.1), np.ones(3)
+    for sign in (1.0, -1.0):
+        learner = Signed(**SIZES, sign=sign)
+        np.testing.assert_allclose(learner.act(state, obs), np.full(2, 0.3 * sign))
+        after, _ = learner.correct(state, obs, np.zeros(2), [1, 1])
+        np.testing.assert_allclose(after, state + 0.1 * sign)
+
+
+@pytest.mark.slow
+def test_other_settings_of_gpc_are_other_programs():
     for on_full, last in (("error", Status.FULL), ("replace-nearest", Status.OK)):
         learner = make_learner("gpc", obs_size=2, action_size=1, capacity=4, on_full=on_full)
         _, infos = teach(learner, learner.init(), 5)
@@ -109,7 +132,7 @@ def test_inside_jit_it_is_what_it_is_outside():
     )
 
 
-@pytest.mark.parametrize("algo", ["gpc", "coach", "own"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("coach", marks=pytest.mark.slow), "own"])
 def test_what_is_given_away_is_learned_from_alike_and_gone(algo, capfd):
     options = {"capacity": 4} if algo == "gpc" else {"lower": -1, "upper": 1, "counts": (2, 3)}
     learner = counting() if algo == "own" else make_learner(algo, obs_size=2, action_size=1, **options)
@@ -388,9 +411,23 @@ def test_a_state_of_ones_own_may_change():
     assert float(learner.act(state, np.zeros(2))[0]) == 0.5
 
 
-@pytest.mark.parametrize("value", ["0", pytest.param("1", marks=pytest.mark.slow)])
-def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(value):
+def test_programs_are_run_by_who_calls_them_where_that_is_asked_for(monkeypatch):
     """jax has the setting, and does not look for its variable."""
+    setting = xla_bridge._CPU_ENABLE_ASYNC_DISPATCH
+    before = setting.value
+    try:
+        for value in (True, False):
+            jax.config.update("jax_cpu_enable_async_dispatch", True)
+            monkeypatch.setenv("JAX_CPU_ENABLE_ASYNC_DISPATCH", str(int(value)))
+            runpy.run_path(_x64.__file__)  # as the first import of the package does
+            assert setting.value == value
+    finally:
+        jax.config.update("jax_cpu_enable_async_dispatch", before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", ["0", "1"])
+def test_so_they_are_in_another_process(value):
     code = (
         "import gpcjax._x64; from jax._src import xla_bridge as b; print(b._CPU_ENABLE_ASYNC_DISPATCH.value)"
     )

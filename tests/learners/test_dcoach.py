@@ -103,7 +103,7 @@ def test_it_is_what_numpy_makes_of_the_equations(learner, compiled):
     """Beyond the buffer's size: the oldest pair gives way to the newest."""
     state, rng = compiled.init(jax.random.key(7)), np.random.default_rng(0)
     reference = ByNumpy(state)
-    for count in range(11):
+    for count in range(8):
         obs, action = rng.normal(size=3), rng.uniform(-1, 1, size=2)
         advice = [(1.0, -1.0), (0.0, 1.0), (-1.0, 0.0)][count % 3]
         drawn = minibatch(count, min(count + 1, 4))

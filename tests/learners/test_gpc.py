@@ -69,7 +69,8 @@ class TestWithoutAdvice:
             assert_same_bits(after, state)
             assert info.status == Status.OK and not info.rate.any()
 
-    @gpc_first
+    @pytest.mark.slow
+    @pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
     def test_even_in_a_state_that_was_grown(self, algo):
         learner = make_learner(algo, "lunarlander", capacity=16)
         state = learner.grow(taught(learner))
@@ -95,7 +96,8 @@ class TestFull:
         return learner, state, *learner.correct(state, np.array([2.5, 0, 0, -0.5]), [0.1], [-1])
 
     def test_error_refuses(self, algo):
-        _, before, after, info = self.correct(algo, "error")
+        """Also where the policy alone has no room."""
+        _, before, after, info = self.correct(algo, "error", human=8)
         assert_same_bits(after, before)
         assert info.status == Status.FULL and info.full and info.rate == 0
         assert not info.appended and not info.replaced
@@ -135,7 +137,7 @@ class TestFull:
         assert after.policy.count == 4 and after.human.count == 5
 
 
-@pytest.mark.parametrize("algo", ["gpc", "gpc-ns", "coach"])
+@pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow), "coach"])
 @pytest.mark.parametrize("count", [0, pytest.param(1, marks=pytest.mark.slow), 10])
 def test_what_is_not_finite_never_enters_a_state(algo, count):
     """Nor what makes other numbers infinite, be the dictionary empty or not."""
@@ -162,18 +164,19 @@ def test_every_status_has_a_word_and_a_message():
 
 @gpc_first
 class TestOneCodePath:
+    @pytest.mark.slow
     def test_direct_jitted_and_batched_calls_agree(self, algo):
-        """Four corrections of five learners at once, with hyperparameters of their own."""
+        """Three corrections of three learners at once, with hyperparameters of their own."""
         learners = [
-            make_learner(algo, "lunarlander", capacity=16, constant_rate=0.01 * (1 + i)) for i in range(5)
+            make_learner(algo, "lunarlander", capacity=16, constant_rate=0.01 * (1 + i)) for i in range(3)
         ]
         rng = np.random.default_rng(1)
-        observations, advice = rng.normal(size=(4, 5, 8)), rng.choice([-1.0, 0.0, 1.0], size=(4, 5, 2))
+        observations, advice = rng.normal(size=(3, 3, 8)), rng.choice([-1.0, 0.0, 1.0], size=(3, 3, 2))
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *learners)
         step = lambda learner, state, obs, h: learner.correct(state, obs, learner.act(state, obs), h)  # noqa: E731
         together, jitted = jax.jit(jax.vmap(step)), jax.jit(step)
         batch = jax.vmap(lambda learner: learner.init())(stacked)
-        for round in range(4):
+        for round in range(3):
             # Each round starts from one state: differences of the last digits must not add up.
             before = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], batch) for i in range(2)]
             batch, batch_info = together(
@@ -203,6 +206,7 @@ class TestOneCodePath:
         twin = make_learner(algo, "cartpole", capacity=16)
         assert_same_bits(taught(twin), taught(learner))
 
+    @pytest.mark.slow
     def test_inside_scan(self, algo):
         learner = make_learner(algo, "cartpole", capacity=16)
         rng = np.random.default_rng(2)
@@ -217,6 +221,7 @@ class TestOneCodePath:
             learner.act(last, items[0][0]), learner.act(state, items[0][0]), atol=1e-12
         )
 
+    @pytest.mark.slow
     def test_one_trace_for_each_shape(self, algo, monkeypatch):
         """Values, hyperparameters and states are no reason to compile again; another capacity is."""
         traces = []
@@ -342,7 +347,6 @@ class TestSparsification:
         _, info = learner.correct(learner.init(), at(0.0), [0.0], [1])
         assert info.appended and not info.replaced
 
-    @pytest.mark.slow
     def test_switched_off(self):
         learner = self.learner(sparsify=False)
         state = learner.init()
@@ -419,7 +423,9 @@ def test_the_controller_is_the_policy_before_clipping(algo):
     np.testing.assert_allclose(call(lanes, obs.T), proposed, atol=1e-14)
 
 
-@pytest.mark.parametrize(("algo", "task"), [("gpc", "lunarlander"), ("gpc-ns", "cartpole")])
+@pytest.mark.parametrize(
+    ("algo", "task"), [("gpc", "lunarlander"), pytest.param("gpc-ns", "cartpole", marks=pytest.mark.slow)]
+)
 def test_uncertainty_is_bounded_by_the_prior(algo, task):
     """What thinning relies on."""
     learner = make_learner(algo, task, capacity=16)

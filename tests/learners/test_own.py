@@ -125,7 +125,7 @@ LEARNERS = {
 
 
 @pytest.mark.parametrize(
-    "name", ["gpc", "units", *(pytest.param(name, marks=pytest.mark.slow) for name in ("coach", "d-coach"))]
+    "name", ["coach", "units", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gpc", "d-coach"))]
 )
 def test_a_policy_stays_when_its_state_is_given_away(name):
     learner = LEARNERS[name]()
@@ -161,15 +161,26 @@ def test_a_class_that_is_written_anew_is_the_new_one(module):
         gpcjax.make_oracle("mine_here:Drift")
 
 
+class Drawn(Units):
+    """What it learns is drawn."""
+
+    def learn(self, state, moment, advice, key):
+        return jax.random.uniform(key, state.shape), gpcjax.Info.of(rate=jnp.abs(advice))
+
+
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "value", "algo"),
     [
-        ("jax_random_seed_offset", 7),
-        pytest.param("jax_default_prng_impl", "rbg", marks=pytest.mark.slow),
+        ("jax_random_seed_offset", 7, "drawn"),
+        *(
+            pytest.param(*setting, "d-coach", marks=pytest.mark.slow)
+            for setting in (("jax_random_seed_offset", 7), ("jax_default_prng_impl", "rbg"))
+        ),
     ],
 )
-def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
-    learner = gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
+def test_what_is_drawn_without_a_key_is_drawn_alike(name, value, algo):
+    drawing = gpcjax.make_learner("d-coach", **SIZES, width=4, buffer_size=8, batch_size=2)
+    learner = drawing if algo == "d-coach" else Drawn(**SIZES)
     twice = []
     before = getattr(jax.config, name)
     try:
@@ -177,10 +188,10 @@ def test_what_is_drawn_without_a_key_is_drawn_alike(name, value):
             jax.config.update(name, each)
             if each is value:
                 jax.clear_caches()
-            state = learner.init()
+            state = learner.init(None)
             for _ in range(3):
                 state, _ = learner.correct(state, OBS, [0.0], [1])
-            twice.append(state)
+            twice.append((state, drawing.init()))
     finally:
         jax.config.update(name, before)
     assert_same_bits(*twice)

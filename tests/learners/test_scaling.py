@@ -21,7 +21,6 @@ from tests.trees import assert_same_bits
 MINE = TaskSpec("mine", "gpcjax.envs.pendulum:Pendulum", sizes=(3, 1), obs_scale=(1.0, 2.0, 4.0))
 W, PAIR = (1.5, 0.7, 0.2), (0.6, 2.0, 0.3, 4.0)
 each_learner = pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
-gpc_first = pytest.mark.parametrize("algo", ["gpc", pytest.param("gpc-ns", marks=pytest.mark.slow)])
 
 
 @pytest.mark.parametrize(
@@ -49,10 +48,14 @@ def taught(learner):
     return state
 
 
-def test_what_is_given_as_it_was_changes_no_bit():
+@pytest.mark.parametrize(
+    "learned", [lambda learner: learner.init(), pytest.param(taught, marks=pytest.mark.slow)]
+)
+def test_what_is_given_as_it_was_changes_no_bit(learned):
+    """A state has the factors of its inputs, so that they are the same in all that is learned."""
     usual = make_learner("gpc", "pendulum", capacity=16)
     given = make_learner("gpc", "pendulum", capacity=16, human_scaling=(*usual.scaling, 1.0))
-    assert_same_bits(taught(given), taught(usual))
+    assert_same_bits(learned(given), learned(usual))
 
 
 def test_without_them_gpc_ns_has_no_array_of_them():
@@ -69,15 +72,15 @@ def test_gpc_ns_finds_out_by_itself_how_large_a_task_says_its_observations_are()
     np.testing.assert_allclose(make_learner("gpc", mine).scaling, [1.0, 0.5, 0.25])
 
 
-@gpc_first
+@pytest.mark.parametrize("algo", [pytest.param("gpc", marks=pytest.mark.slow), "gpc-ns"])
 def test_a_learner_that_has_them_is_kept_and_carried_over(algo):
-    learner = make_learner(algo, "pendulum", capacity=16, scaling=W, human_scaling=PAIR)
+    learner = make_learner(algo, "pendulum", capacity=64, scaling=W, human_scaling=PAIR)
     state = taught(learner)
     again, kept = unpack_learner(*pack_learner(learner, state))
     assert_same_bits((again, kept), (learner, state))
-    other = make_learner(algo, "pendulum", capacity=16, scaling=W)
+    other = make_learner(algo, "pendulum", capacity=64, scaling=W)
     host = jax.tree.map(np.asarray, other)
-    moved = jax.tree.map(jnp.asarray, carried(learner, state, host, (16, 16)))
+    moved = jax.tree.map(jnp.asarray, carried(learner, state, host, (64, 64)))
     np.testing.assert_allclose(moved.human.scale / state.human.scale, [np.array([*W, 1.0]) / PAIR])
     obs = np.array([0.3, -0.2, 0.5])
     np.testing.assert_allclose(other.act(moved, obs), learner.act(state, obs), rtol=1e-9)

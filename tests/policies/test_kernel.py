@@ -39,7 +39,13 @@ EVERY = jnp.ones(LANES, bool)
 OBS = jnp.asarray(np.random.default_rng(1).normal(size=(SIZE, LANES)))
 
 
-@pytest.mark.parametrize("room", [1, 48, PART, PART + 1, 192, 4 * PART + 1, 1024])
+@pytest.mark.parametrize(
+    "room",
+    [
+        *(1, 4 * PART + 1),
+        *(pytest.param(room, marks=pytest.mark.slow) for room in (48, PART, PART + 1, 192, 1024)),
+    ],
+)
 def test_it_is_the_sum_over_all_points(room):
     for most in {1, min(room, PART), room}:
         used = np.linspace(1, most, LANES).astype(int)
@@ -48,8 +54,16 @@ def test_it_is_the_sum_over_all_points(room):
 
 
 @pytest.mark.usefixtures("compiled_as_shipped")
-@pytest.mark.parametrize("program", [acted, walked])
-@pytest.mark.parametrize("smoothness", [2.5, float("inf")])
+@pytest.mark.parametrize(
+    ("program", "smoothness"),
+    [
+        (walked, 2.5),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((acted, 2.5), (acted, np.inf), (walked, np.inf))
+        ),
+    ],
+)
 def test_the_bits_of_a_lane_do_not_depend_on_what_others_have_learned(program, smoothness):
     room = 192
     alone = controller(room, [20, 60] + [1] * (LANES - 2), smoothness)

@@ -36,7 +36,7 @@ def test_it_is_a_multilayer_perceptron(network):
         np.testing.assert_allclose(act(jnp.asarray(obs)), by_numpy(network, obs), atol=1e-13)
 
 
-@pytest.mark.parametrize("lanes", [1, 33])
+@pytest.mark.parametrize("lanes", [pytest.param(1, marks=pytest.mark.slow), 33])
 def test_lanes_stand_at_the_end(network, lanes):
     """Those of observations alone, as an expert has them, and those of the layers too, as a learner's policy would."""
     obs = jnp.asarray(np.random.default_rng(2).normal(size=(3, lanes)))
