@@ -7,7 +7,6 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from gpcjax.engine.pool import Finished
 from gpcjax.learners.factory import make_learner
 from gpcjax.reproduce import illustrations, probing, records, repetitions
 from gpcjax.reproduce.illustrations import erroneous, hyperparameters, plane_of, situations, sparsification
@@ -183,7 +182,7 @@ def test_who_is_taught_is_told_by_seed(monkeypatch):
     class Backwards:
         def run(self, next_start, deliver):
             for start in [*iter(next_start, None)][::-1]:
-                deliver(Finished(start.name, start))
+                deliver(SimpleNamespace(name=start.name, lane=start))
 
     monkeypatch.setattr(probing, "make_pool", lambda cell: Backwards())
     cells, lanes = probing.taught(3, [0, 2])

@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,6 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.engine.keeping import Keep
-from gpcjax.engine.pool import Finished, Kept
 from gpcjax.sweep import build, checkpointing, machine, runs
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
@@ -318,8 +318,8 @@ def test_what_comes_on_the_way_and_at_the_end(keeping, on_the_way, kept, asked, 
     monkeypatch.setattr(runs, "rows_of", lambda cell, lane: rows(cell, 4))
     one = runs.Runs(None, Orders(keeping=keeping), said.append)
     for episode in on_the_way:
-        one.keep(Kept(cell, episode, None))
-    one.deliver(Finished(cell, None))
+        one.keep(SimpleNamespace(name=cell, episode=episode, lane=None))
+    one.deliver(SimpleNamespace(name=cell, lane=None))
     ((word, given),) = said
     assert word == "rows" and [(row.kind, row.episode) for row in given.kept] == [
         ("states", each) for each in kept
