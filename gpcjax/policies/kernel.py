@@ -40,6 +40,8 @@ class KernelController(Controller):
         return self._sum(obs, 0, self.points.shape[1])
 
     def in_use(self, lanes: Bool[Array, " lanes"]) -> Callable[[Array], Array]:
+        if type(self).__call__ is not KernelController.__call__:
+            return self  # somebody's own, who acts otherwise
         room = self.points.shape[1]
         part = max(PART, -(-room // (4 * PART)) * PART)
         others = [(first, min(first + part, room)) for first in range(part, room, part)]

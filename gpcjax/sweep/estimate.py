@@ -59,7 +59,7 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
         if work.finished >= work.cells:
             continue
         bound[index], free[index] = _left(work, speed)
-        to_compile[index] = _to_compile(work, compiling)
+        to_compile[index] = _to_begin(work, compiling)
     ends = _first_ends(works, compiling, bound)
     ends += [(0.0, -1)] * (jobs - len(ends))
     ready = max((work.ready_in for work in works), default=0.0)
@@ -92,7 +92,7 @@ def _first_ends(works: Sequence[Work], compiling: float, bound: Mapping[int, flo
         if stepping or work.steps:  # it joined another
             compile_left = overdue(work.joining, work.compiling_for)
         else:
-            compile_left = _to_compile(work, compiling) - work.compile_seconds / work.workers
+            compile_left = _to_begin(work, compiling) - work.compile_seconds / work.workers
             compile_left = overdue(compile_left, work.compiling_for)
         share = bound.get(index, 0.0) / (stepping or work.workers)
         ends += [(further + share, index)] * stepping
@@ -210,6 +210,11 @@ def _compiling(works: Sequence[Work]) -> float:
 def _to_compile(work: Work, compiling: float) -> float:
     """Seconds until a worker has all that it needs of a program."""
     return work.usual_compiling * (work.slowness if work.before else compiling)
+
+
+def _to_begin(work: Work, compiling: float) -> float:
+    """The same, and what else comes before its blocks; where it ran here before, its cells' seconds have that."""
+    return _to_compile(work, compiling) + (0.0 if work.before else AT_FIRST * compiling)
 
 
 def _further(work: Work, compiling: float) -> float:

@@ -31,6 +31,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
+from gpcjax.sweep import stopping
 from gpcjax.sweep.atomic import write_atomic
 
 MOST_BYTES = 1 << 29
@@ -78,36 +79,45 @@ class Executables:
             return lowered.compile()
         counts = leaves, given, others
         text = hashlib.sha256(f"{jax.__version__} {counts} {words}".encode()).hexdigest()[:32]
-        with self._alone(text):
-            found = self._read(text)
-            if found is None:
-                with _compiling_anew():
-                    found = lowered.compile()
-                self._write(text, found, *counts)
+        found = self._read(text)
+        if found is None:
+            with self._first(text) as is_first:
+                found = self._read(text) if is_first else None  # somebody may have been done just before
+                if is_first and found is None:
+                    found = self._anew(text, lowered, counts)
+        if found is None:  # it was waited for another one, who keeps nothing where nothing can be kept
+            found = self._read(text) or self._anew(text, lowered, counts)
         with contextlib.suppress(OSError):
             write_atomic(self._key(key), text)
             self._key(key).chmod(0o600)
         return found
 
-    @contextmanager
-    def _alone(self, text: str) -> Iterator[None]:
-        """While the block runs nobody else is in it for this program: a lock that dies with its process.
+    def _anew(self, text: str, lowered: Any, counts: tuple[int, int, int]) -> Compiled:
+        with _compiling_anew():
+            found = lowered.compile()
+        self._write(text, found, *counts)
+        return found
 
-        Who cannot have it, as nothing can be written there or somebody holds it for too long, goes on without.
+    @contextmanager
+    def _first(self, text: str) -> Iterator[bool]:
+        """Whether nobody else is at this program: then nobody else is while the block runs.
+
+        Otherwise the other one has been waited for, or holds its lock, which dies with its process, for too long. Where
+        nothing can be locked everybody is the first.
         """
-        path = self._folder / f"{text}.lock"
+        path, is_first = self._folder / f"{text}.lock", False
+        descriptor = _opened(path)
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError:
-            yield
-            return
-        try:
-            _locked(descriptor)
-            yield
+            is_first = descriptor is None or _locked(descriptor)
+            if descriptor is not None and not is_first:
+                _await(descriptor)
+            yield is_first
         finally:
-            with contextlib.suppress(OSError):
-                path.unlink()  # who waits for it still has it; who comes later finds the program
-            os.close(descriptor)
+            if descriptor is not None:
+                if is_first:
+                    with contextlib.suppress(OSError):
+                        path.unlink()  # who waits for it has it open; who comes later finds the program
+                os.close(descriptor)
 
     def _is_used(self) -> bool:
         """Not in a process whose programs are compiled in a hurry: others would take these for their own."""
@@ -128,7 +138,7 @@ class Executables:
             checksum, content = data[:32], data[32:]
             if hashlib.sha256(content).digest() != checksum:
                 return None
-            program, leaves, given, others = _opened(zlib.decompress(content))
+            program, leaves, given, others = _parted(zlib.decompress(content))
             _find_lapack()
             arguments = jax.tree.structure((([0] * leaves, [0] * given), {}))
             result = jax.tree.structure(([0] * leaves, [0] * others))
@@ -150,12 +160,16 @@ class Executables:
             self._prune()
 
     def _prune(self) -> None:
-        kept = [(entry.stat(), entry.path) for entry in os.scandir(self._folder)]
+        kept = []
+        for path in (*self._folder.glob("*.program"), *self._folder.glob("*.key")):
+            with contextlib.suppress(OSError):  # another one prunes too
+                kept.append((path.stat(), path))
         total = sum(told.st_size for told, _ in kept)
         for told, path in sorted(kept, key=lambda each: each[0].st_mtime):
             if total <= MOST_BYTES:
                 return
-            os.unlink(path)
+            with contextlib.suppress(OSError):
+                path.unlink()
             total -= told.st_size
 
 
@@ -182,24 +196,38 @@ def _compiling_anew() -> Iterator[None]:
         compilation_cache.reset_cache()
 
 
-def _locked(descriptor: int) -> None:
-    """Waits for the lock on this file as long as that is worth it."""
-    until = time.monotonic() + MOST_SECONDS
+def _opened(path: Path) -> int | None:
+    """A descriptor of this file, which is made where it is missing; None where none can be."""
+    with contextlib.suppress(OSError):
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    return None
+
+
+def _locked(descriptor: int) -> bool:
+    """Locks a file; False if somebody else has."""
     with contextlib.suppress(OSError):  # a file system without locks
-        while True:
-            try:
-                return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() > until:
-                    return None
-                time.sleep(LOOK_SECONDS)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
+
+
+def _await(descriptor: int) -> None:
+    """Waits until nobody has locked a file, as long as that is worth it. Raises Stopped."""
+    until = time.monotonic() + MOST_SECONDS
+    while time.monotonic() < until and not _locked(descriptor):
+        stopping.check()
+        time.sleep(LOOK_SECONDS)
+    with contextlib.suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # who else waits reads the program at the same time
 
 
 def _closed(program: bytes, *counts: int) -> bytes:
     return b"".join(count.to_bytes(4, "little") for count in counts) + program
 
 
-def _opened(content: bytes) -> tuple[bytes, int, int, int]:
+def _parted(content: bytes) -> tuple[bytes, int, int, int]:
     leaves, given, others = (int.from_bytes(content[place : place + 4], "little") for place in (0, 4, 8))
     return content[12:], leaves, given, others
 

@@ -77,3 +77,13 @@ def test_no_weight_is_left_out(value, place):
     np.testing.assert_allclose(got, all_of_it, atol=1e-13)
     if abs(value) > 1 or np.isnan(value):
         assert not np.array_equal(got, acted(without, EVERY, OBS), equal_nan=True)
+
+
+def test_somebodys_own_that_acts_otherwise_does_so_in_a_block():
+    class Shifted(KernelController):
+        def __call__(self, obs):
+            return super().__call__(obs) + 1.0
+
+    policy = controller(192, [20] * LANES)
+    own = Shifted(policy.points, policy.weights, policy.scale, policy.smoothness)
+    np.testing.assert_allclose(own.in_use(EVERY)(OBS), policy(OBS) + 1.0, rtol=1e-12)

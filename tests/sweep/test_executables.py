@@ -1,10 +1,14 @@
 """Programs that are kept whole: the same bits without compiling, and nothing but what this user wrote is executed."""
 
+import contextlib
 import errno
+import fcntl
 import os
 import subprocess
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -109,6 +113,82 @@ def test_who_cannot_have_the_lock_compiles_alone(tmp_path, monkeypatch, held):
     program = Compiling()
     assert result(Executables(tmp_path).compiled(KEY, program, 2, 1, 1))[2] == 12.0
     assert program.compiled == 1
+
+
+@contextlib.contextmanager
+def held(folder):
+    """Somebody compiles the program, and goes on with it until the end; gives the lock's file."""
+    text = program(folder).stem
+    program(folder).unlink()
+    path = folder / f"{text}.lock"
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield path
+    finally:
+        os.close(descriptor)
+
+
+def test_those_who_waited_read_at_the_same_time(folder, monkeypatch):
+    """A program takes a third of a second to read: one after the other, of 64, is longer than to compile it."""
+    kept, barrier, read = program(folder).read_bytes(), threading.Barrier(3), Executables._read
+    sleeping, sleep = threading.Semaphore(0), time.sleep
+
+    def together(self, text):
+        found = read(self, text)
+        if found is not None:
+            barrier.wait(60)
+        return found
+
+    def awaits(seconds):
+        sleeping.release()
+        sleep(seconds)
+
+    monkeypatch.setattr(Executables, "_read", together)
+    monkeypatch.setattr(executables.time, "sleep", awaits)
+    with ThreadPoolExecutor(3) as threads:
+        with held(folder) as path:
+            waiting = [threads.submit(keep, folder, str(n) * 32) for n in range(3)]
+            for _ in range(3):
+                assert sleeping.acquire(timeout=60)
+            path.with_suffix(".program").write_bytes(kept)
+            path.with_suffix(".program").chmod(0o600)
+        assert all(result(each.result(60))[2] == 12.0 for each in waiting)
+
+
+def test_where_nothing_is_kept_nobody_waits_for_more_than_the_first(tmp_path, monkeypatch):
+    """All compile at the same time then, as if each were alone."""
+    barrier, begun = threading.Barrier(2), threading.Event()
+
+    def first():
+        begun.set()
+        time.sleep(0.2)
+
+    def full(*_):
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr(executables, "write_atomic", full)
+    programs = [Compiling(first), *(Compiling(lambda: barrier.wait(60)) for _ in range(2))]
+    with ThreadPoolExecutor(3) as threads:
+        done = [threads.submit(Executables(tmp_path).compiled, KEY, programs[0], 2, 1, 1)]
+        assert begun.wait(60)
+        done += [threads.submit(Executables(tmp_path).compiled, KEY, each, 2, 1, 1) for each in programs[1:]]
+        assert all(result(each.result(60))[2] == 12.0 for each in done)
+    assert [each.compiled for each in programs] == [1, 1, 1]
+
+
+def test_a_signal_ends_the_wait_and_the_lock_stays_with_who_has_it(folder, monkeypatch):
+    def stopped():
+        raise KeyboardInterrupt
+
+    with held(folder) as path:
+        monkeypatch.setattr(executables.stopping, "check", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            keep(folder)
+        monkeypatch.undo()
+        monkeypatch.setattr(executables, "MOST_SECONDS", 0.0)
+        assert result(keep(folder))[2] == 12.0
+        assert path.exists()
 
 
 def test_what_is_compiled_in_a_hurry_is_not_for_others(folder):
