@@ -21,6 +21,7 @@ from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep import worker
 from gpcjax.sweep.build import start_of
+from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
@@ -261,11 +262,12 @@ def test_killed_and_resumed(two_learners, tmp_path):
 def test_the_rows_of_every_executor_are_the_same_bits(
     two_learners, tmp_path, monkeypatch, compiled_as_shipped
 ):
-    """Those of processes, that of this one, and its threads."""
+    """Those of processes, that of this one, and its threads; and of programs that were kept, also for less episodes."""
     monkeypatch.setattr(worker, "baseline", lambda env, name: {"mean": 0.0, "std": 1.0, "n": 2})  # no rows
-    for name, executor in (("inprocess", InProcess()), ("threads", Threads(2))):
-        out = sweep(tmp_path / name, executor=executor, **COACH | {"error": 0.0})
-        assert_the_same_rows(out, two_learners, "algo == 'coach' and error == 0")
+    monkeypatch.setattr(Executables, "compiled", None)  # which would be called
+    for name, executor, episodes in (("inprocess", InProcess(), 3), ("threads", Threads(2), 2)):
+        out = sweep(tmp_path / name, executor=executor, **COACH | {"error": 0.0, "episodes": episodes})
+        assert_the_same_rows(out, two_learners, f"algo == 'coach' and error == 0 and episode <= {episodes}")
 
 
 @pytest.mark.slow
