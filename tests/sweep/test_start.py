@@ -4,6 +4,8 @@ import dataclasses
 import json
 from pathlib import Path
 
+import jax
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -109,9 +111,11 @@ def test_coach_on_another_grid_and_what_is_too_large_are_refused_before_anything
     with pytest.raises(UserError, match=r"on another grid \(lower -1, -1, -1, -1\) than that of cartpole"):
         check_start(spec_of(env="cartpole", algo="coach", seeds=1, start=tmp_path / "coach"))
     learner = gpcjax.make_learner("gpc", "cartpole", sparsify=False)
-    state = learner.init()
-    for place in (-0.2, 0.0, 0.2):
-        state, _ = learner.correct(state, obs=[0.0, 0.0, place, 0.0], action=[0.0], advice=[1])
+    # Three points in both dictionaries, as so many corrections leave them.
+    state = jax.tree.map(
+        lambda leaf: leaf + 3 if np.issubdtype(leaf.dtype, np.integer) else leaf, learner.init()
+    )
+    assert [int(each.count[0]) for each in (state.policy, state.human)] == [3, 3]
     gpcjax.save_learner(tmp_path / "gpc", learner, state)
     settings = {"env": "cartpole", "algo": "gpc", "seeds": 1, "start": tmp_path / "gpc"}
     check_start(spec_of(max_capacity=3, **settings))
