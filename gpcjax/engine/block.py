@@ -101,6 +101,8 @@ class Block:
         """Lanes of the smaller tier that need this one, and lanes of this tier that go on from a snapshot."""
         self._counters, self._loop, self._template, self._kept = counters, loop, template, kept
         self._leaves: list[Any] = []
+        self._looked_at: Lane | None = None
+        """The leaves as a block, if the host has looked at them since a program gave them."""
         self._structure: Any = None
         self._programs: dict[str, Callable[..., Any]] = {}
         self._rounds = 16
@@ -109,11 +111,15 @@ class Block:
     @property
     def lanes(self) -> Lane:
         """The block. Programs take and give its leaves: modules are put together when the host looks, not each time."""
-        return self._structure.unflatten(self._leaves)
+        block = self._looked_at
+        if block is None:
+            block = self._looked_at = self._structure.unflatten(self._leaves)
+        return block
 
     @lanes.setter
     def lanes(self, block: Lane) -> None:
         self._leaves, self._structure = jax.tree.flatten(block)
+        self._looked_at = block
 
     @property
     def free(self) -> int:
@@ -299,6 +305,7 @@ class Block:
         if program not in self._programs:
             with self._compiling():
                 self._programs[program] = self._compiled(program, function, arguments, given)
+        self._looked_at = None  # its arrays are given away
         self._leaves, others = self._programs[program](self._leaves, given)
         return tuple(others)
 

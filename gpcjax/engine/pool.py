@@ -13,7 +13,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -271,5 +270,6 @@ class Pool:
 
 def _without_room(lane: Lane) -> Lane:
     """A lane on the host with the rows of its own episodes."""
-    rows = jax.tree.map(lambda column: column[: int(lane.episodes)], lane.rows)
-    return eqx.tree_at(lambda lane: lane.rows, lane, rows)
+    episodes = int(lane.episodes)
+    rows = jax.tree.map(lambda column: column[:episodes], lane.rows)
+    return dataclasses.replace(lane, rows=rows)

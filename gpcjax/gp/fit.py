@@ -10,7 +10,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from gpcjax._x64 import under_own_settings
@@ -155,6 +154,8 @@ def minimise(
     tolerance: float = TOLERANCE,
 ) -> Float[Array, " p"]:
     """L-BFGS with its zoom line search, until the gradient's norm is below `tolerance` or `MOST_STEPS`."""
+    import optax  # takes a sixteenth of a worker's start
+
     optimiser = optax.lbfgs()
     value_and_gradient = optax.value_and_grad_from_state(loss)
 

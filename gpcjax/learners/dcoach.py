@@ -21,7 +21,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from gpcjax._x64 import seeded_key
@@ -144,6 +143,8 @@ class DCoach(Learner):
         self, layers: Layers, obs: Float[Array, "batch obs"], targets: Float[Array, "batch action"]
     ) -> tuple[Layers, Float[Array, ""]]:
         """The network after a step of gradient descent on half the mean squared error, and that before it."""
+        import optax  # what takes a sixteenth of a worker's start is for those who need it
+
         loss, slope = eqx.filter_value_and_grad(_loss)(layers, obs * self.scaling[None], targets)
         optimiser = optax.sgd(self.learning_rate)  # without momentum: it has nothing to keep in the state
         kept = optimiser.init(layers)  # pyright: ignore[reportArgumentType]  (any pytree of arrays will do)

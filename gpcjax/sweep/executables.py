@@ -5,6 +5,7 @@ what goes into it (`gpcjax.engine.identity`), and for another source, which may 
 
     KEY.key         the digest of what goes into a program: holds the digest of its text
     TEXT.program    a program, after the checksum of it
+    KEY.json        numbers that come of what the digest tells, as they would again
 
 What is read is executed, and jax keeps it pickled: so a folder is used only if nobody but its owner, who is this user,
 can write there; and a file only if it is all that was written.
@@ -16,6 +17,7 @@ import contextlib
 import fcntl
 import functools
 import hashlib
+import json
 import os
 import re
 import stat
@@ -92,6 +94,24 @@ class Executables:
             self._key(key).chmod(0o600)
         return found
 
+    def numbers(self, key: str) -> dict[str, float] | None:
+        """What was computed before of what this digest tells; None if that is not known."""
+        path = self._folder / f"{key}.json"
+        try:
+            found = json.loads(path.read_text()) if self._is_used() and _ours(path) else None
+        except (OSError, ValueError):
+            return None
+        is_whole = isinstance(found, dict) and all(isinstance(each, int | float) for each in found.values())
+        return found if is_whole and found else None
+
+    def keep_numbers(self, key: str, numbers: dict[str, float]) -> None:
+        """Keeps what was computed; nothing is said where that cannot be."""
+        path = self._folder / f"{key}.json"
+        if self._is_used():
+            with contextlib.suppress(OSError):
+                write_atomic(path, json.dumps(numbers))
+                path.chmod(0o600)
+
     def _anew(self, text: str, lowered: Any, counts: tuple[int, int, int]) -> Compiled:
         with _compiling_anew():
             found = lowered.compile()
@@ -139,7 +159,8 @@ class Executables:
             if hashlib.sha256(content).digest() != checksum:
                 return None
             program, leaves, given, others = _parted(zlib.decompress(content))
-            _find_lapack()
+            if b"lapack" in program or b"blas" in program:  # it names what it calls
+                _find_lapack()
             arguments = jax.tree.structure((([0] * leaves, [0] * given), {}))
             result = jax.tree.structure(([0] * leaves, [0] * others))
             found = serialize_executable.deserialize_and_load(program, arguments, result)
@@ -161,7 +182,7 @@ class Executables:
 
     def _prune(self) -> None:
         kept = []
-        for path in (*self._folder.glob("*.program"), *self._folder.glob("*.key")):
+        for path in (each for kind in ("program", "key", "json") for each in self._folder.glob(f"*.{kind}")):
             with contextlib.suppress(OSError):  # another one prunes too
                 kept.append((path.stat(), path))
         total = sum(told.st_size for told, _ in kept)
@@ -177,7 +198,8 @@ class Executables:
 def _find_lapack() -> None:
     """Has jaxlib look for scipy's LAPACK, which it does when something is lowered that calls it.
 
-    A program that is read is not lowered: without this its first factorisation would end the process.
+    A program that is read is not lowered: without this its first factorisation would end the process. It takes a third
+    of a second, so it is not done for a program that calls none.
     """
     jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 

@@ -19,7 +19,6 @@ from gpcjax.engine import streams
 from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.sweep import run as run_module
-from gpcjax.sweep import worker
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors import InProcess
@@ -263,7 +262,6 @@ def test_the_rows_of_every_executor_are_the_same_bits(
     two_learners, tmp_path, monkeypatch, compiled_as_shipped
 ):
     """Those of processes, that of this one, and its threads; and of programs that were kept, also for less episodes."""
-    monkeypatch.setattr(worker, "baseline", lambda env, name: {"mean": 0.0, "std": 1.0, "n": 2})  # no rows
     monkeypatch.setattr(Executables, "compiled", None)  # which would be called
     for name, executor, episodes in (("inprocess", InProcess(), 3), ("threads", Threads(2), 2)):
         out = sweep(tmp_path / name, executor=executor, **COACH | {"error": 0.0, "episodes": episodes})
