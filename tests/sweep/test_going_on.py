@@ -24,8 +24,6 @@ from gpcjax.sweep.startable import check_start
 from tests.sweep.test_start import SETTINGS
 from tests.sweep.test_underway import assert_same, killed_under_way
 
-pytestmark = pytest.mark.usefixtures("sweeps_here")
-
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):

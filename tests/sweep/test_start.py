@@ -26,8 +26,6 @@ from gpcjax.sweep.store import Store
 from tests.sweep.folders import begun
 from tests.sweep.pretended import rows
 
-pytestmark = pytest.mark.usefixtures("sweeps_here")
-
 SETTINGS = {"env": "cartpole", "algo": "coach", "oracle": "lqr", "rate": 0.2, "seeds": 2, "episodes": 2}
 SOURCE = Source("/somewhere/x", "0123456789ab")
 

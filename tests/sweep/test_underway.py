@@ -32,8 +32,6 @@ from tests.sweep.pretended import Pretended, rows
 from tests.sweep.processes import alive, process, wait_for, workers_of
 from tests.torture.underway import FAULTS, torture
 
-pytestmark = pytest.mark.usefixtures("sweeps_here")
-
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 6}
 COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 6, "oracle": "lqr", "rate": 0.2}
 DICTIONARIES = COMPILED | {"algo": "gpc", "max_capacity": 48, "on_full": "replace-nearest", "delta": 0.01}
