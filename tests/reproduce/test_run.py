@@ -169,8 +169,8 @@ def test_the_whole_of_it(sweeps, pretended, request, tmp_path, monkeypatch, pain
     ("name", "jobs", "told"),
     [
         ("fig5_1_pendulum", 2, "900 runs of 40 episodes, about 20 s where nothing is done yet"),
-        ("fig5_5_lunarlander_ns", 2, "60 runs of 200 episodes, about 22 min where nothing is done yet"),
-        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 10 min where nothing is done yet"),
+        ("fig5_5_lunarlander_ns", 2, "60 runs of 200 episodes, about 20 min where nothing is done yet"),
+        ("oracles_cartpole", 2, "4,320 runs of 30 episodes, about 11 min where nothing is done yet"),
     ],
 )
 def test_costs_of_whole_experiments(tmp_path, name, jobs, told):
@@ -182,7 +182,7 @@ def test_costs_of_whole_experiments(tmp_path, name, jobs, told):
 def test_a_part_at_a_time(sweeps, pretended, unpainted, tmp_path, capsys):
     """The report shows what there is, of earlier calls too; what each experiment costs is told, and what came of it."""
     out = tmp_path / "out"
-    told = "27 runs of 3 episodes, about 10 s where nothing is done yet"
+    told = "27 runs of 3 episodes, about 20 s where nothing is done yet"
     reproduce(sweeps, out, ("pendulum",), quick=True, jobs=1)
     first = pd.read_csv(out / "claims.csv")
     assert set(first["part"]) == {"pendulum"}
