@@ -146,7 +146,7 @@ def test_stopped_anywhere_it_goes_on_to_the_same(undrawn, tmp_path, capsys, rung
     (tmp_path / "o").rename(tmp_path / "whole")
     ran = []
     for _ in range(20):
-        pieces = undrawn(Landscape(fails_after=7))
+        pieces = undrawn(Landscape(fails_after=11))
         status = cli.main(words)
         ran += pieces.cells
         if status == 0:
@@ -303,7 +303,9 @@ def test_a_folder_holds_one_search(searched, undrawn, tmp_path, capsys):
     "words",
     [
         pytest.param((*SEARCH, "--trials", "1"), id="one trial"),
-        pytest.param((*SEARCH, "--trials", "3", "--rungs", "1"), id="one of three goes on"),
+        pytest.param(
+            (*SEARCH, "--trials", "3", "--rungs", "1"), id="one of three goes on", marks=pytest.mark.slow
+        ),
         pytest.param(
             (*SEARCH[:2], "--search", "human-length-scale=0.5,2", "--trials", "2"), id="one value of a list"
         ),
