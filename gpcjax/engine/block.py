@@ -191,10 +191,11 @@ class Block:
         self._set_phase(places, Phase.RUNNING)
         return list(zip((self.runs[place] for place in places), self._take(places), strict=True))
 
-    def leaving(self) -> list[tuple[Occupant, Lane]]:
-        """Takes out the lanes that go no further here, with their runs."""
-        places = self._places(Phase.FINISHED, Phase.NEEDS_ROOM)
-        lanes = self._take(places)
+    def leaving(self, learned: bool = True) -> list[tuple[Occupant, Lane]]:
+        """Takes out the lanes that go no further here, with their runs; those that ended maybe without a state."""
+        ended, outgrown = self._places(Phase.FINISHED), self._places(Phase.NEEDS_ROOM)
+        places = ended + outgrown
+        lanes = self._take(ended, learned) + self._take(outgrown)
         self._set_phase(places, Phase.EMPTY)
         left = [int(lane.episodes - lane.episode) for lane in lanes if lane.phase == Phase.NEEDS_ROOM]
         self._pace = self._pace._replace(
@@ -366,13 +367,14 @@ class Block:
             block, phase=jax.device_put(np.full(self.tier.lanes, Phase.EMPTY, np.int32))
         )
 
-    def _take(self, places: Sequence[int]) -> list[Lane]:
-        """Copies of lanes, on the host."""
+    def _take(self, places: Sequence[int], learned: bool = True) -> list[Lane]:
+        """Copies of lanes, on the host, with or without what they learned."""
         if not places:
             return []
         if together():
             return self._take_from_device(places)
-        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], self.lanes)
+        block = self.lanes if learned else dataclasses.replace(self.lanes, state=None, controller=None)
+        taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], block)
         return _apart(taken, len(places))
 
     def _take_from_device(self, places: Sequence[int]) -> list[Lane]:

@@ -82,7 +82,7 @@ def tiers(max_capacity: int, together: bool = False, normalises: bool = False) -
 
 @dataclasses.dataclass(frozen=True)
 class Finished:
-    """A run that ended: its lane on the host, without a lanes axis (numpy)."""
+    """A run that ended: its lane on the host, without a lanes axis (numpy); `state` is None where nobody wants it."""
 
     name: Any
     lane: Lane
@@ -120,6 +120,7 @@ class Pool:
         tiers: capacities and widths, growing; the last one leaves a full dictionary to the learner's `on_full`.
         keep: after which episodes `run` hands out what was learned; the rows of a run are the same without.
         kept: where compiled programs are looked for, and go. In processes that all compute alike.
+        learned: whether what a run has learned is wanted of those that ended, which takes copies of large dictionaries.
     """
 
     def __init__(
@@ -131,10 +132,11 @@ class Pool:
         tiers: Sequence[Tier],
         keep: Keep | None = None,
         kept: Keeper | None = None,
+        learned: bool = True,
     ):
         self.counters = Counters()
         self.template = template
-        self._keep = keep
+        self._keep, self._learned = keep, learned or keep is not None
 
         def loop(grows: bool) -> Loop | HostLoop:
             if isinstance(env, HostEnv):
@@ -183,7 +185,7 @@ class Pool:
             block.advance()
             for run, lane in block.paused():
                 keep(Kept(run.name, int(lane.episode), _without_room(lane)))
-            for run, lane in block.leaving():
+            for run, lane in block.leaving(self._learned):
                 if lane.phase == Phase.NEEDS_ROOM:
                     self.counters.promotions += 1
                     blocks[index + 1].waiting.append((run, lane))

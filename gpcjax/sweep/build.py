@@ -145,6 +145,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
         kept=programs,
+        learned=keeping is not None,
     )
 
 
