@@ -60,7 +60,7 @@ def test_for_programs_each_line_is_json(tmp_path, capsys):
         pytest.param([{"seeds": 4}], {"seeds": "4-7"}, marks=pytest.mark.slow),
         ([{"seeds": 4}, {"seeds": 6}], {"seeds": 6, "beta": [3, 5]}),
         pytest.param([{"seeds": 4}, {"seeds": 6}], {"seeds": "9-9"}, marks=pytest.mark.slow),
-        ([{"seeds": 4}, {"seeds": "4-7"}], {"seeds": 8}),
+        pytest.param([{"seeds": 4}, {"seeds": "4-7"}], {"seeds": 8}, marks=pytest.mark.slow),
     ],
 )
 def test_a_lost_one_is_made_again_by_the_last_command_alone(tmp_path, capsys, before, last):

@@ -5,20 +5,22 @@ import json
 import os
 import pickle
 import signal
+import sys
 import tempfile
 
 import pytest
 
 from gpcjax.sweep import machine
 from gpcjax.sweep.checkpoints import receive, told
-from gpcjax.sweep.environment import CACHE
-from gpcjax.sweep.executors import Orders, remote
+from gpcjax.sweep.environment import CACHE, programs_folder
+from gpcjax.sweep.executors import Orders, processes, remote
 from gpcjax.sweep.executors.remote import Remote
 from gpcjax.sweep.parcel import parcel_of, unpack
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.versions import versions
 from tests.sweep.processes import alive
+from tests.sweep.test_executors import START
 
 EXPERT = """
 from goal import GOAL
@@ -92,6 +94,9 @@ def test_the_folder_of_one_that_was_killed_is_removed_by_the_next(tmp_path, monk
 
 def test_its_end_has_a_reason(parcel, monkeypatch, tmp_path):
     monkeypatch.setenv(CACHE, str(tmp_path / "programs"))  # such an end costs the programs that are kept
+    programs_folder().mkdir(parents=True)
+    code = START + "parent.send(('ready',)); time.sleep(60)"
+    monkeypatch.setattr(processes, "script", lambda _, number, parent: [sys.executable, "-c", code, number])
     with contextlib.closing(Remote(parcel[0], patience=0.2)) as worker:
         assert hear(worker)[-1] == ("ready",)
         worker._worker.process.send_signal(signal.SIGSEGV)

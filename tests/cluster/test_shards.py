@@ -160,7 +160,7 @@ class TestMerging:
         before = {path.name for path in (merge([out]) / "episodes").iterdir()}
         assert {path.name for path in (merge([out]) / "episodes").iterdir()} == before
 
-    @pytest.mark.parametrize("grown", [False, True])
+    @pytest.mark.parametrize("grown", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_killed_at_any_moment_it_may_be_done_again(self, tmp_path, monkeypatch, grown):
         """Before and after each file that it writes, of which the first ones are no episodes."""
         source = tmp_path / "source"

@@ -56,6 +56,12 @@ def folder(path, loss=0.0, given=None, versions=None, sealed_parts=False, machin
     return path
 
 
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Every figure is made, none is painted: `test_everything_by_the_command` does it."""
+    monkeypatch.setattr(style, "image", lambda figure, kind: kind.encode())
+
+
 def areas(comparison):
     table = comparison.differences_table
     return table[table["statistic"] == "area"].reset_index(drop=True)
@@ -129,7 +135,7 @@ class TestMatching:
         table = areas(gpcjax.compare(one, other))
         assert (table["algo_first"][0], table["algo_second"][0]) == ("gpc", "coach") and len(table) == 1
 
-    def test_a_series_is_one_value(self, tmp_path):
+    def test_a_series_is_one_value(self, tmp_path, unpainted):
         one, other = folder(tmp_path / "one"), folder(tmp_path / "other", loss=7.0)
         for path, rates in ((one, [0.1, 0.2]), (other, [0.3, 0.2, 0.1])):
             manifest = json.loads((path / "manifest.json").read_text())
@@ -296,6 +302,7 @@ def test_names_tell_folders_apart(tmp_path):
 
 class TestSaved:
     def test_everything_by_the_command(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(style, "image", functools.partial(style.image, dpi=20))
         monkeypatch.chdir(tmp_path)
         folder(tmp_path / "a$b_c", loss=0.0), folder(tmp_path / "<b>", loss=40.0, errors=(0.0, 0.1))
         assert cli.main(["compare", "a$b_c", "<b>"]) == 0
@@ -323,8 +330,7 @@ class TestSaved:
         )
         assert not [path for path in tmp_path.iterdir() if path != one]
 
-    def test_one_seed_and_stopped_runs(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(style, "image", functools.partial(style.image, dpi=20))
+    def test_one_seed_and_stopped_runs(self, tmp_path, unpainted):
         one, other = folder(tmp_path / "a", seeds=1), folder(tmp_path / "b", seeds=1, loss=1.0)
         manifest = json.loads((other / "manifest.json").read_text())
         for path in (other / "episodes").glob("*.parquet"):

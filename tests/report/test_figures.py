@@ -334,6 +334,10 @@ def test_pdf_embeds_its_fonts_and_pictures_repeat(small):
     pdf, again = (style.image(curves.learning_curves(small).figure, "pdf") for _ in range(2))
     assert pdf == again
     assert b"/FontFile2" in pdf and b"/Type3" not in pdf
+
+
+@pytest.mark.slow
+def test_pictures_for_pages_repeat_too(small):
     svg, again = (style.image(curves.learning_curves(small).figure, "svg") for _ in range(2))
     assert svg == again
 

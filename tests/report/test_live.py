@@ -82,7 +82,10 @@ def test_other_values_are_refused(store, options):
         draw(store, **options)
 
 
-def test_it_is_drawn_while_the_sweep_runs_and_no_longer(store, monkeypatch):
+def test_it_is_drawn_while_the_sweep_runs_and_no_longer(out, monkeypatch):
+    frame = synthetic.episodes(algos=("coach",), seeds=2, errors=(0.0,), length=3)
+    rows = synthetic.corrections(algos=("coach",), seeds=2, errors=(0.0,)).iloc[:0]
+    store = synthetic.write(out, frame, rows, synthetic.manifest(frame))
     monkeypatch.setattr(live, "FIRST_SECONDS", 0.01)
     drawing_ = Live(store)
     thread = threading.Thread(target=drawing_.run)

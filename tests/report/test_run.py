@@ -66,14 +66,15 @@ def read_page(out):
 
 def test_draw_writes_everything_from_the_store(out, monkeypatch):
     monkeypatch.setattr(style, "image", functools.partial(style.image, dpi=40))
-    frame = synthetic.episodes(seeds=4, errors=(0.0,), length=8)
-    corrections = synthetic.corrections(seeds=4, errors=(0.0,))
+    algos = ("gpc", "coach")
+    frame = synthetic.episodes(seeds=3, errors=(0.0,), length=5, algos=algos)
+    corrections = synthetic.corrections(seeds=3, errors=(0.0,), algos=algos)
     synthetic.write(out, frame, corrections, synthetic.manifest(frame))
     summary = draw(out)
     assert {path.name for path in summary.files} == PLAIN
     assert {path.name for path in out.iterdir()} == PLAIN | {"episodes", "corrections", "manifest.json"}
     table = pd.read_csv(out / "summary.csv")
-    assert len(table) == 3 and table["final_return"].notna().all()
+    assert len(table) == 2 and table["final_return"].notna().all()
     before = {path: path.read_bytes() for path in summary.files}
     draw(out)
     assert before == {path: path.read_bytes() for path in summary.files}
@@ -205,8 +206,10 @@ def elsewhere(tmp_path_factory):
     """
     out, settings = tmp_path_factory.mktemp("out"), tmp_path_factory.mktemp("settings")
     frame = synthetic.episodes(algos=("gpc",), errors=(0.0,), seeds=2, length=4)
-    rows = synthetic.corrections(algos=("gpc",), errors=(0.0,), seeds=2)
-    draw_frames(out, frame, rows, synthetic.manifest(frame))
+    rows = synthetic.corrections(algos=("gpc",), errors=(0.0,), seeds=2).iloc[:0]  # a figure is enough
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "image", functools.partial(style.image, dpi=40))
+        draw_frames(out, frame, rows, synthetic.manifest(frame))
     plain = (out / "curves.png").read_bytes()
     (settings / "matplotlibrc").write_text(HOSTILE_FILE)
     frame.to_parquet(settings / "frame.parquet")
@@ -217,12 +220,14 @@ def elsewhere(tmp_path_factory):
         "import gpcjax.report.figures.drawing\n"
         "loaded = {'jax', 'equinox', 'brax', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules)\n"
         "print(first, loaded)\n"
-        "import pathlib, pandas as pd\n"
+        "import functools, pathlib, pandas as pd\n"
         "from rich.console import Console\n"
+        "from gpcjax.report.figures import style\n"
         "from gpcjax.report.run import draw_frames\n"
         "from gpcjax.report.terminal import render\n"
         "from tests.report import synthetic\n"
         "given, out = map(pathlib.Path, sys.argv[1:])\n"
+        "style.image = functools.partial(style.image, dpi=40)\n"
         "frame, rows = (pd.read_parquet(given / f'{name}.parquet') for name in ('frame', 'rows'))\n"
         "Console(width=90).print(render(draw_frames(out, frame, rows, synthetic.manifest(frame))))\n"
     )

@@ -1,6 +1,7 @@
 """What the illustrations claim holds in their numbers."""
 
-import jax.numpy as jnp
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -9,7 +10,12 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from gpcjax.learners.factory import make_learner
 from gpcjax.reproduce import illustrations, probing, records, repetitions
 from gpcjax.reproduce.illustrations import erroneous, hyperparameters, plane_of, situations, sparsification
+from gpcjax.sweep.plan import plan
+from gpcjax.sweep.spec import spec_of
 from tests.reproduce.illustrated import repetitions as repeated
+
+ANGLES = 33
+"""How many the tests look at: a program for any other number would be another one."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +41,29 @@ def taught_once(taught_cell):
 
 
 @pytest.fixture(scope="module")
-def fig3_3(taught_cell):
-    return plane_of(*taught_cell, angles=33, velocities=17)
+def corrected():
+    """GPC on the pendulum after some advice at places that `plane_of` looks at below."""
+    learner = make_learner("gpc", "pendulum", capacity=16)
+    state = learner.init()
+    for angle, velocity, advice in (
+        (-0.5, 3.0, 1), (-0.5, 3.0, 1), (-0.25, 1.0, -1), (0.0, -2.0, 1), (0.25, 0.0, -1), (0.5, 4.0, -1)
+    ):  # fmt: skip
+        obs = np.array([np.cos(angle * np.pi), np.sin(angle * np.pi), velocity])
+        state, _ = learner.correct(state, obs, learner.act(state, obs), [float(advice)])
+    return learner, state
+
+
+@pytest.fixture(scope="module", params=["corrected", pytest.param("taught", marks=pytest.mark.slow)])
+def fig3_3(request):
+    """Of what was learned from a few corrections, or in an episode."""
+    if request.param == "taught":
+        cell, lane = request.getfixturevalue("taught_cell")
+    else:
+        learner, state = request.getfixturevalue("corrected")
+        (cell,) = plan(spec_of(env="pendulum", algo="gpc", episodes=1, seeds=1))
+        rows = SimpleNamespace(returns=np.array([-1000.0]))
+        lane = SimpleNamespace(learner=learner, state=state, rows=rows)
+    return plane_of(cell, lane, angles=ANGLES, velocities=17)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +132,7 @@ class TestPlane:
         """A point is stored as (cos, sin, velocity), so both edges are the same place."""
         for name in ("policy", "sigma_policy", "sigma_human", "rate"):
             values = getattr(fig3_3, name)
-            assert values.shape == (17, 33)
+            assert values.shape == (17, ANGLES)
             np.testing.assert_allclose(values[:, 0], values[:, -1], atol=1e-8)
 
     def test_places_are_angles_and_velocities(self, fig3_3):
@@ -134,21 +161,35 @@ class TestPlane:
         assert fig3_3.returns.shape == (1,) and (fig3_3.returns < 0).all()
 
 
-def test_what_maps_show_is_what_a_correction_meets():
-    learner = make_learner("gpc", "cartpole", capacity=16)
-    state, rng = learner.init(), np.random.default_rng(0)
-    for obs in 0.1 * rng.normal(size=(6, 4)):
-        state, _ = learner.correct(state, obs, learner.act(state, obs), [1.0])
-    places = 0.1 * rng.normal(size=(5, 4))
-    seen = probing.look(learner, state, jnp.asarray(places))
-    for i, obs in enumerate(places):
-        action = learner.act(state, obs)
-        _, info = learner.correct(state, obs, action, [1.0])
+def test_what_maps_show_is_what_a_correction_meets(corrected):
+    learner, state = corrected
+    angles = np.linspace(-3.0, 3.0, ANGLES)
+    places = np.stack([np.cos(angles), np.sin(angles), 2.0 * angles], -1)
+    seen = probing.look(learner, state, places)
+    for i in range(0, ANGLES, 7):
+        action = learner.act(state, places[i])
+        _, info = learner.correct(state, places[i], action, [1.0])
         np.testing.assert_allclose(seen["policy"][i], action[0], rtol=1e-9)
         np.testing.assert_allclose(seen["sigma_policy"][i], info.sigma_policy[0], rtol=1e-9)
         np.testing.assert_allclose(seen["sigma_human"][i], info.sigma_human[0], rtol=1e-9)
         total = seen["sigma_policy"][i] + seen["sigma_human"][i] + learner.constant_rate
         np.testing.assert_allclose(total, info.rate[0], rtol=1e-9)
+
+
+def test_who_is_taught_is_told_by_seed(monkeypatch):
+    """Whoever is finished first."""
+
+    class Backwards:
+        def run(self, next_start, deliver):
+            for start in [*iter(next_start, None)][::-1]:
+                deliver(SimpleNamespace(name=start.name, lane=start))
+
+    monkeypatch.setattr(probing, "make_pool", lambda cell: Backwards())
+    cells, lanes = probing.taught(3, [0, 2])
+    assert [(cell.env, cell.algo, cell.error, cell.episodes, cell.seed) for cell in cells] == [
+        ("pendulum", "gpc", 0.0, 3, seed) for seed in (0, 2)
+    ]
+    assert [lane.name for lane in lanes] == cells
 
 
 class TestSparsification:

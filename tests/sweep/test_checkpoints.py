@@ -32,7 +32,7 @@ def learned(episodes):
 
 
 @pytest.mark.parametrize(
-    "episodes", [250, pytest.param(2000, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)]
+    "episodes", [120, pytest.param(2000, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)]
 )
 def test_a_card_has_room_for_all_runs_of_an_accelerator(tmp_path, episodes):
     """8,192 lanes, and 64 lanes of which each episode is kept, did not fit into the bytes that a card may have."""

@@ -137,11 +137,13 @@ def starts(*options):
     return "" if done.returncode == 0 else f"{' '.join(options)}: {done.stderr[-300:]}"
 
 
+@pytest.mark.slow
 def test_xla_takes_each_option():
-    """Together: it ends with the first that it does not know."""
+    """Together: it ends with the first that it does not know. Every worker of real sweeps is told them."""
     assert starts(*xla_options()) == ""
 
 
+@pytest.mark.slow
 def test_xla_refuses_what_it_does_not_know():
     assert starts("--xla_no_such_option=1").startswith("--xla_no_such_option=1: ")
 

@@ -326,10 +326,11 @@ def finish(pool, start):
     return finished[0].lane
 
 
+@pytest.mark.slow
 def test_a_pool_compiles_nothing_that_was_kept_and_comes_to_the_same_bits(
     tmp_path, monkeypatch, compiled_plainly
 ):
-    """For any number of episodes that there is room for."""
+    """For any number of episodes that there is room for; as a sweep does in test_sweeps.py."""
     monkeypatch.setattr(executables, "_IN_A_HURRY", "jax_disable_jit")  # these are for nobody else
     pool, start = coach(2, Executables(tmp_path))
     lane = finish(pool, start)

@@ -17,7 +17,7 @@ from gpcjax import cli
 from gpcjax.sweep.spec import SweepSpec
 from gpcjax.sweep.tomlfile import LARGEST_FILE
 
-COUNTS = [800, pytest.param(2000, marks=pytest.mark.slow)]
+COUNTS = [400, pytest.param(2000, marks=pytest.mark.slow)]
 """Specifications of each kind, flags and TOML."""
 
 ENVS = ("cartpole", "pendulum", "lunarlander", "mountaincar")

@@ -9,7 +9,7 @@ import pytest
 
 from gpcjax.envs.base import Env, State, begin
 from gpcjax.policies.base import Policy
-from gpcjax.sweep.ppo import Parameters, Step, Training, _advantages, _forward, train
+from gpcjax.sweep.ppo import Parameters, Step, Training, _advantages, train
 from tests.trees import assert_same_bits
 
 TRAINING = Training(
@@ -21,7 +21,7 @@ TRAINING = Training(
     unroll=16,
     epochs=4,
     minibatches=4,
-    hidden=(8, 8),
+    hidden=(8,),
 )
 
 
@@ -83,17 +83,19 @@ def test_advantages_against_a_plain_loop():
     done = terminated | (rng.random((7, 3)) < 0.2)
     assert terminated.any() and (done & ~terminated).any() and not done[-1].all()
     reward = rng.normal(size=(7, 3))
-    value = [(jnp.asarray(rng.normal(size=(1, 1))), jnp.asarray(rng.normal(size=1)))]
+    weight, bias = rng.normal(size=(1, 1)), rng.normal(size=1)
+    value = [(jnp.asarray(weight), jnp.asarray(bias))]
     steps = Step(*(jnp.asarray(x) for x in (obs, obs, reward, reward, terminated, done, following)))
-    advantage, target = _advantages(training, Parameters([], value, jnp.zeros(1)), steps)
-    worth = lambda x: float(_forward(value, jnp.asarray(2.0 * x))[0])  # noqa: E731
+    given = _advantages(training, Parameters([], value, jnp.zeros(1)), steps)
+    advantage, target = map(np.asarray, given)
+    worth = lambda x: (weight @ (2.0 * x) + bias).item()  # noqa: E731
     for lane in range(3):
         for first in range(7):
-            total, weight = 0.0, 1.0
+            total, factor = 0.0, 1.0
             for step in range(first, 7):
                 after = 0.0 if terminated[step, lane] else worth(following[step, lane])
-                total += weight * (0.5 * reward[step, lane] + 0.9 * after - worth(obs[step, lane]))
-                weight *= 0.9 * 0.8
+                total += factor * (0.5 * reward[step, lane] + 0.9 * after - worth(obs[step, lane]))
+                factor *= 0.9 * 0.8
                 if done[step, lane]:
                     break
             assert advantage[first, lane] == pytest.approx(total, abs=1e-12)

@@ -8,10 +8,14 @@ import pytest
 
 from gpcjax import cli
 from gpcjax.errors import UserError
+from gpcjax.sweep import run
+from gpcjax.sweep.build import start_of
+from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
 from gpcjax.sweep.schedule import offered_rates
-from gpcjax.sweep.spec import spec_of
+from gpcjax.sweep.spec import from_dict, spec_of
 from tests.report import synthetic
+from tests.sweep.pretended import Pretended
 
 ACTIVE = "sweep --env=cartpole --algo=gpc --error=0.1 --oracle=lqr --seeds=3 --episodes=3 --max-capacity=48 --jobs=1"
 ACTIVE += " --on-full=replace-nearest --rate=0.05 --active-gain=1"
@@ -98,11 +102,23 @@ class TestOfferedRates:
             offered_rates(tmp_path)
 
 
-@pytest.fixture(scope="module", params=["made up", pytest.param("swept", marks=pytest.mark.slow)])
-def active(request, tmp_path_factory, workers_in_process, figures_unpainted):
+@pytest.fixture(scope="module", params=["pretended", pytest.param("real", marks=pytest.mark.slow)])
+def workers(request, figures_unpainted):
+    """Rows are made up, or computed here."""
+    if request.param == "real":
+        request.getfixturevalue("workers_in_process")
+        yield request.param
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "Processes", Pretended())
+        yield request.param
+
+
+@pytest.fixture(scope="module")
+def active(workers, tmp_path_factory):
     """A finished sweep whose teacher learned actively."""
     out = tmp_path_factory.mktemp("active") / "out"
-    if request.param == "made up":
+    if workers == "pretended":
         frame = synthetic.episodes(algos=("gpc",), errors=(0.1,), seeds=3, length=3)
         frame["chance"] = 0.3 / frame["episode"] + 0.01 * frame["seed"] + 0.05
         rows = synthetic.corrections(algos=("gpc",), errors=(0.1,), seeds=3).iloc[:0]
@@ -133,15 +149,23 @@ class TestCommandLine:
         assert means.iloc[0] > 0.1 and means.nunique() == 3
         schedule = specification(out)["rate_schedule"]
         np.testing.assert_allclose(schedule, means, rtol=1e-13)
-        rows = read_episodes(out)
-        assert len(rows) == 6 and (rows["asked"] > 0).all()
-        np.testing.assert_allclose(rows["chance"], means.loc[rows["episode"]], rtol=1e-12)
-        # And it is the chance that steps had: corrections are at most the coins below it.
-        assert (rows["corrections"] <= rows["asked"]).all() and (rows["asked"] < rows["length"]).all()
-        assert "rate" not in rows and not read_corrections(out).empty
+        # The teacher of each run has them, and does with them what engine/test_schedule.py says.
+        for cell in plan(from_dict(specification(out))):
+            np.testing.assert_array_equal(start_of(cell).teacher.schedule, schedule)
+        assert "rate" not in read_episodes(out)
         before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
         assert cli.main([*FOLLOWER.split(), f"--rate-from={active}", f"--out={out}"]) == 0
         assert before == {path: path.read_bytes() for path in out.rglob("*.parquet")}
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("workers", ["real"], indirect=True)
+    def test_steps_had_these_chances(self, followed):
+        """Corrections are at most the coins below them."""
+        rows, schedule = read_episodes(followed), np.array(specification(followed)["rate_schedule"])
+        assert len(rows) == 6 and (rows["asked"] > 0).all()
+        np.testing.assert_allclose(rows["chance"], schedule[rows["episode"] - 1], rtol=1e-12)
+        assert (rows["corrections"] <= rows["asked"]).all() and (rows["asked"] < rows["length"]).all()
+        assert not read_corrections(followed).empty
 
     def test_the_same_numbers_given_by_hand_are_the_same_sweep(self, active, monkeypatch, tmp_path):
         """The hash has the numbers, and not where they came from."""

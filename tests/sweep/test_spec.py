@@ -1,6 +1,7 @@
 import math
 from dataclasses import fields
 
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -209,6 +210,7 @@ def test_a_key_written_twice_is_refused(tmp_path):
         read_toml(path)
 
 
+@hypothesis.settings(max_examples=50)
 @given(st.sampled_from(list(OPTIONS.values())), st.text(max_size=20))
 def test_any_text_of_a_flag_is_taken_or_refused(option, text):
     try:

@@ -44,14 +44,18 @@ def grow(out, monkeypatch):
     assert len(list((out / EPISODES).iterdir())) == 1
 
 
-@pytest.fixture(params=["names_in", "part_of"], ids=["before it has names", "after it has read two parts"])
+BEFORE, BETWEEN = "names_in", "part_of"
+"""A reader has no names of parts yet, or has read two of them."""
+
+
+@pytest.fixture(params=[pytest.param(BEFORE, marks=pytest.mark.slow), BETWEEN])
 def growing(request, out, monkeypatch):
     """The folder is asked for more once its manifest was read, at one of two moments."""
     real, calls = getattr(parts, request.param), []
 
     def slowly(*arguments):
         calls.append(arguments)
-        if len(calls) == (1 if request.param == "names_in" else 3):
+        if len(calls) == (1 if request.param == BEFORE else 3):
             grow(out, monkeypatch)
         return real(*arguments)
 
@@ -63,6 +67,7 @@ def refuse(line):
     raise AssertionError(f"nothing was to be said, but: {line}")
 
 
+@pytest.mark.parametrize("growing", [BEFORE, BETWEEN], indirect=True)
 def test_rows(growing):
     found = read(growing, refuse)
     assert len(found.episodes) == 16 * 3 and len(found.corrections) == 16 * 2

@@ -511,8 +511,13 @@ def _of(kind, **fields):
 class TestTogether:
     """Small parts become one as they come."""
 
-    CELLS = plan(spec_of(env="cartpole", algo="gpc", error=[0, 0.1], seeds=40, episodes=3, oracle="lqr"))
-    SPEC = spec_of(env="cartpole", algo="gpc", error=[0, 0.1], seeds=40, episodes=3, oracle="lqr")
+    SPEC = spec_of(env="cartpole", algo="gpc", error=[0, 0.1], seeds=10, episodes=3, oracle="lqr")
+    CELLS = plan(SPEC)
+
+    @pytest.fixture(autouse=True)
+    def few(self, monkeypatch):
+        """Parts of parts come of few runs."""
+        monkeypatch.setattr(store_module, "TOGETHER", 4)
 
     def one_by_one(self, out, cells=None):
         store = opened(out, self.SPEC)

@@ -20,7 +20,7 @@ from gpcjax.engine.evaluate import evaluate, idle
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.build import start_of
-from gpcjax.sweep.environment import worker_environment
+from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.executors import InProcess
 from gpcjax.sweep.plan import plan
 from gpcjax.sweep.reading import read_corrections, read_episodes
@@ -28,6 +28,7 @@ from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from tests.golden import CASES, differences, incomparable
 from tests.sweep.processes import PATIENCE, ROOT, alive, process, wait_for, workers_of
+from tests.sweep.threads import Threads
 
 TWO = CASES["swept"]
 """With dictionaries that do not grow: a program of each learner is enough."""
@@ -251,24 +252,20 @@ def test_a_full_dictionary_ends_the_run_with_a_status(tmp_path):
     assert frame["human_points"].iloc[-1] == 3
 
 
+@pytest.mark.slow
 def test_killed_and_resumed(two_learners, tmp_path):
+    """As test_underway.py has it, of what was saved of runs; and the rows that were there stay."""
     kill_and_resume(TWO, two_learners, tmp_path)
 
 
-def test_the_rows_of_every_executor_are_the_same_bits(two_learners, tmp_path):
-    settings = COACH | {"error": 0.0}
-    script = f"""
-from gpcjax.sweep import worker
-from gpcjax.sweep.executors import InProcess
-from gpcjax.sweep.run import sweep
-from tests.sweep.threads import Threads
-worker.baseline = lambda *_: dict(mean=0.0, std=1.0, n=2)  # which are no rows
-sweep("inprocess", executor=InProcess(), **{settings!r})
-sweep("threads", executor=Threads(2), **{settings!r})
-"""
-    subprocess.run([sys.executable, "-c", script], env=worker_environment(), cwd=tmp_path, check=True)
-    for name in ("inprocess", "threads"):
-        assert_the_same_rows(tmp_path / name, two_learners, "algo == 'coach' and error == 0")
+def test_the_rows_of_every_executor_are_the_same_bits(
+    two_learners, tmp_path, monkeypatch, compiled_as_shipped
+):
+    """Those of processes, that of this one, and its threads; and of programs that were kept, also for less episodes."""
+    monkeypatch.setattr(Executables, "compiled", None)  # which would be called
+    for name, executor, episodes in (("inprocess", InProcess(), 3), ("threads", Threads(2), 2)):
+        out = sweep(tmp_path / name, executor=executor, **COACH | {"error": 0.0, "episodes": episodes})
+        assert_the_same_rows(out, two_learners, f"algo == 'coach' and error == 0 and episode <= {episodes}")
 
 
 @pytest.mark.slow

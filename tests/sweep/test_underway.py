@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,11 +14,12 @@ import pytest
 
 import gpcjax
 from gpcjax import cli
-from gpcjax.sweep import checkpointing, machine
+from gpcjax.engine.keeping import Keep
+from gpcjax.sweep import build, checkpointing, machine, runs
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
-from gpcjax.sweep.executors import InProcess
-from gpcjax.sweep.keeping import Keeping, keeping_of
+from gpcjax.sweep.executors import InProcess, Orders
+from gpcjax.sweep.keeping import Keeping, KeptRow, keeping_of
 from gpcjax.sweep.layout import CHECKPOINTS
 from gpcjax.sweep.learned import load_policies, load_states
 from gpcjax.sweep.packing import packed, unpacked
@@ -26,11 +28,9 @@ from gpcjax.sweep.reading import read_corrections, read_episodes, read_kept
 from gpcjax.sweep.run import sweep
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.versions import versions
-from tests.sweep.pretended import Pretended
+from tests.sweep.pretended import Pretended, rows
 from tests.sweep.processes import alive, process, wait_for, workers_of
 from tests.torture.underway import FAULTS, torture
-
-pytestmark = pytest.mark.usefixtures("sweeps_here")
 
 HOST = {"env": "lunarlander", "algo": "coach", "seeds": 2, "episodes": 6}
 COMPILED = {"env": "cartpole", "algo": "coach", "seeds": 3, "episodes": 6, "oracle": "lqr", "rate": 0.2}
@@ -49,7 +49,7 @@ def killed_under_way(folder, settings):
     code = f"""
 import os, signal
 from gpcjax.sweep import checkpointing
-from gpcjax.sweep.executors import InProcess
+from gpcjax.sweep.executors import InProcess, Orders
 from gpcjax.sweep.run import sweep
 write, count = checkpointing.write_folder, []
 def then_end(*arguments):
@@ -278,19 +278,50 @@ def test_packed_arrays_are_what_they_were():
             unpacked(card, changed)
 
 
-def test_nothing_was_kept(tmp_path, compiled_plainly):
-    settings = {"env": "cartpole", "algo": "coach", "seeds": 1, "episodes": 3}
+def test_nothing_was_kept(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_module, "Processes", Pretended())
-        out = sweep(tmp_path / "out", **settings)
+        out = sweep(tmp_path / "out", **COMPILED)
     with pytest.raises(ValueError, match="no policies were kept there, give --keep policies"):
         gpcjax.load_policies(out)
-    settings |= {"oracle": "lqr", "executor": InProcess()}
-    sweep(tmp_path / "kept", keep="policies", keep_at="best", **settings)
-    (episode,) = load_policies(tmp_path / "kept")["episode"]
-    assert episode == 1 + read_episodes(tmp_path / "kept")["return"].argmax()
+    sweep(tmp_path / "kept", executor=InProcess(), **COMPILED | KEEP | {"keep": "policies"})
+    assert load_policies(tmp_path / "kept")["episode"].tolist() == [2, 4, 6] * COMPILED["seeds"]
     with pytest.raises(ValueError, match="no states were kept there"):
         load_states(tmp_path / "kept")
+
+
+@pytest.mark.slow
+def test_the_best_alone_is_kept(tmp_path):
+    sweep(tmp_path, keep="policies", keep_at="best", executor=InProcess(), **COMPILED)
+    returns = read_episodes(tmp_path).groupby("seed")["return"]
+    assert load_policies(tmp_path)["episode"].tolist() == [1 + part.argmax() for _, part in returns]
+
+
+@pytest.mark.parametrize(
+    ("keeping", "on_the_way", "kept", "asked"),
+    [
+        (Keeping("states"), [], [4], None),
+        (Keeping("states", every=2), [2, 4], [2, 4], Keep(2, best=False)),
+        (Keeping("states", every=3), [3], [3, 4], Keep(3, best=False)),
+        (Keeping("states", best=True), [1, 3], [3], Keep(0, best=True)),
+        (None, [], [], None),
+    ],
+)
+def test_what_comes_on_the_way_and_at_the_end(keeping, on_the_way, kept, asked, monkeypatch):
+    """Of four episodes; what a pool is asked for gives these (engine/test_keeping.py)."""
+    cell, said = plan(spec_of(**COMPILED))[0], []
+    monkeypatch.setattr(build, "Pool", lambda **given: given["keep"])
+    assert build.make_pool(cell, keeping) == asked
+    monkeypatch.setattr(runs, "kept_row", lambda what, episode, *others: KeptRow(episode, 0.0, what, "", b""))
+    monkeypatch.setattr(runs, "rows_of", lambda cell, lane: rows(cell, 4))
+    one = runs.Runs(None, Orders(keeping=keeping), said.append)
+    for episode in on_the_way:
+        one.keep(SimpleNamespace(name=cell, episode=episode, lane=None))
+    one.deliver(SimpleNamespace(name=cell, lane=None))
+    ((word, given),) = said
+    assert word == "rows" and [(row.kind, row.episode) for row in given.kept] == [
+        ("states", each) for each in kept
+    ]
 
 
 def test_no_worker_outlives_its_parent(tmp_path):

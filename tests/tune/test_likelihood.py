@@ -12,6 +12,7 @@ import pytest
 import gpcjax
 from gpcjax.errors import UserError
 from gpcjax.gp.likelihood import Optima
+from gpcjax.learners.carried import carried
 from gpcjax.learners.factory import make_learner
 from gpcjax.learners.packed import pack_learner
 from gpcjax.registry import find
@@ -31,8 +32,13 @@ TASK = find("task", "pendulum")
 
 @functools.cache
 def learned(algo, corrections):
-    """A learner and what it learned from advice that only the first number of an observation tells."""
+    """A learner and what it learned from advice that only the first number of an observation tells.
+
+    GPC-NS knows what GPC learned: how it came to that is of no matter here.
+    """
     learner = make_learner(algo, "pendulum", capacity=16, sparsify=False)
+    if algo == "gpc-ns":
+        return learner, carried(*learned("gpc", corrections), learner, (16, 16))
     random, state = np.random.default_rng(corrections), learner.init()
     for _ in range(corrections):
         obs = random.normal(size=3)
@@ -146,6 +152,8 @@ def test_what_cannot_be_done_is_refused(folder, tmp_path, given, message):
 def test_from_python_the_callers_process_stays_as_it_is(folder, tmp_path, monkeypatch, figures_unpainted):
     """The command computes as workers do; whoever calls it from a program of their own has settings of their own."""
     monkeypatch.setattr(carrying_out, "Processes", lambda jobs: contextlib.nullcontext(Pretended()(jobs)))
+    # One of the two models says it: each has programs of its own.
+    monkeypatch.setattr(likelihood, "by_likelihood", functools.partial(by_likelihood, models=["policy"]))
     monkeypatch.setenv("JAX_LOG_COMPILES", "0")
     before = dict(os.environ)
     found = gpcjax.run_tuning(method="mll", runs=folder, algo="gpc", out=tmp_path / "o", jobs=1)

@@ -135,8 +135,8 @@ def test_the_front_is_what_nobody_dominates(points):
 
 def test_thousands_of_points_are_ranked():
     """Looking at all pairs of all fronts, a grid of thousands would take hours."""
-    values = [place // 3 for place in range(4000)]  # three are alike
-    shuffled = [values[place * 1237 % 4000] for place in range(4000)]
+    values = [place // 3 for place in range(2002)]  # three are alike
+    shuffled = [values[place * 1237 % 2002] for place in range(2002)]
     order = ranked([[float(value)] for value in shuffled], [True])
     assert [shuffled[place] for place in order] == values[::-1]
     ties = [place for place in order if shuffled[place] == 7]

@@ -143,8 +143,9 @@ def test_a_database_on_a_full_disk_is_one_line_and_no_mistake(tmp_path, monkeypa
         trials.tell(trial, [1.0], 0, True)
 
 
+@pytest.mark.slow
 def test_the_dashboard_reads_it(tmp_path):
-    """Optuna's own: the study, its objective and its trials are there."""
+    """Optuna's own: the study, its objective and its trials are there, as for Optuna itself above."""
     import optuna_dashboard
 
     run(tmp_path, 3)

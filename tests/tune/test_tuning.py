@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 import gpcjax
 from gpcjax import cli
 from gpcjax.errors import UserError
-from gpcjax.report.figures import style
+from gpcjax.report.figures import compare_figure, style
 from gpcjax.sweep.spec import make_spec, read_toml, spec_of
 from gpcjax.tune import carrying_out, searching
 from tests.docs.pages import ROOT, blocks
@@ -55,6 +56,16 @@ def workers(monkeypatch, tmp_path):
 
     use(Landscape())
     return use
+
+
+@pytest.fixture
+def undrawn(workers, monkeypatch):
+    """Nor do these searches draw anything: `searched` does."""
+    empty = style.Drawing(Figure(), "nothing", "nothing")
+    monkeypatch.setattr(carrying_out, "draw", lambda folder, anew: None)
+    monkeypatch.setattr(carrying_out, "drawn", lambda found, told: None)
+    monkeypatch.setattr(compare_figure, "drawn", lambda comparison: empty)
+    return workers
 
 
 def tuned(folder):
@@ -126,16 +137,16 @@ def test_from_words_to_the_page(tmp_path, request, painted):
         pytest.param(("--rungs", "1x2,1", "--eta", "2"), id="halved"),
     ],
 )
-def test_stopped_anywhere_it_goes_on_to_the_same(workers, tmp_path, capsys, rungs):
+def test_stopped_anywhere_it_goes_on_to_the_same(undrawn, tmp_path, capsys, rungs):
     """No cell runs once more, and the tables, the best and the check are what they are without a stop."""
     words = [*WORDS, *SEARCH, "--trials", "6", *rungs]
-    whole = workers(Landscape())
+    whole = undrawn(Landscape())
     assert cli.main(words) == 0
     expected, best = table(tmp_path / "o"), tuned(tmp_path / "o")
     (tmp_path / "o").rename(tmp_path / "whole")
     ran = []
     for _ in range(20):
-        pieces = workers(Landscape(fails_after=7))
+        pieces = undrawn(Landscape(fails_after=11))
         status = cli.main(words)
         ran += pieces.cells
         if status == 0:
@@ -162,7 +173,7 @@ def test_halving_runs_fewer_cells_and_tells_of_all(workers, tmp_path, capsys):
     assert "6 more trials were given up" in (tmp_path / "o" / "tune.html").read_text()
 
 
-def test_a_front(workers, tmp_path, capsys):
+def test_a_front(undrawn, tmp_path, capsys):
     words = [*WORDS, *SEARCH, "--trials", "8", "--objective", "area,corrections"]
     assert cli.main(words) == 0
     found = table(tmp_path / "o")
@@ -179,7 +190,7 @@ def test_a_front(workers, tmp_path, capsys):
         assert each["front"] == (not beaten)
 
 
-def test_a_grid_has_all_points(workers, tmp_path, capsys):
+def test_a_grid_has_all_points(undrawn, tmp_path, capsys):
     words = [*WORDS[:-4], "--out", "o", "--method", "grid", "--search", "policy_length_scale=0.25,0.5,1"]
     assert cli.main([*words, "--search", "human_length_scale=1,2"]) == 0
     found = table(tmp_path / "o")
@@ -190,7 +201,7 @@ def test_a_grid_has_all_points(workers, tmp_path, capsys):
     }
 
 
-def test_settings_of_a_file(workers, tmp_path, capsys):
+def test_settings_of_a_file(undrawn, tmp_path, capsys):
     (tmp_path / "a.toml").write_text(
         'env = "cartpole"\nseeds = 2\nepisodes = 3\n[tune]\ntrials = 4\ncheck-seeds = "100-102"\nbatch = 2\n'
         '[tune.search]\npolicy_length_scale = "0.01:100"\nhuman_length_scale = [0.5, 2]\n'
@@ -276,7 +287,7 @@ def test_what_a_fit_needs_is_refused_before_anything_runs(workers, tmp_path, cap
     assert cli.main(["tune", "--method", "mll", "--runs", "kept", "--dry-run", "--out", "o"]) == 0
 
 
-def test_a_folder_holds_one_search(searched, workers, tmp_path, capsys):
+def test_a_folder_holds_one_search(searched, undrawn, tmp_path, capsys):
     shutil.copytree(searched.folder, tmp_path / "o")
     assert cli.main([*WORDS, *SEARCH, "--trials", "7"]) == 0  # more of the same
     assert len(table(tmp_path / "o")) == 7
@@ -292,7 +303,9 @@ def test_a_folder_holds_one_search(searched, workers, tmp_path, capsys):
     "words",
     [
         pytest.param((*SEARCH, "--trials", "1"), id="one trial"),
-        pytest.param((*SEARCH, "--trials", "3", "--rungs", "1"), id="one of three goes on"),
+        pytest.param(
+            (*SEARCH, "--trials", "3", "--rungs", "1"), id="one of three goes on", marks=pytest.mark.slow
+        ),
         pytest.param(
             (*SEARCH[:2], "--search", "human-length-scale=0.5,2", "--trials", "2"), id="one value of a list"
         ),
@@ -308,7 +321,7 @@ def test_one_point_is_enough(workers, tmp_path, capsys, words, sampler):
         assert 0.01 <= best[name][0] <= 100
 
 
-def test_another_best_or_other_seeds_are_judged_alone(workers, tmp_path, capsys):
+def test_another_best_or_other_seeds_are_judged_alone(undrawn, tmp_path, capsys):
     """What an earlier check has left stays, and has no part in a later one."""
 
     def judged(out, trials, seeds):
@@ -345,7 +358,7 @@ def test_help_offers_what_a_search_has(capsys):
         assert name not in told
 
 
-def test_killed_before_it_said_what_it_is(workers, tmp_path, capsys):
+def test_killed_before_it_said_what_it_is(undrawn, tmp_path, capsys):
     """The lock, and a file that was being written: no folder of somebody else's."""
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / ".gpcjax.lock").touch()
@@ -388,7 +401,7 @@ def test_checking_needs_the_standard_library_alone():
     )
 
 
-def test_from_python(searched, workers, tmp_path):
+def test_from_python(searched, undrawn, tmp_path):
     """The search of the command line, to the same points; what it found is at hand."""
     search = {"policy_length_scale": "0.01:100", "human-length-scale": "0.01:100"}
     settings = {
