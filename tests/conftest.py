@@ -117,6 +117,7 @@ COMPILED_PLAINLY = (
     "learners/test_gpc.py",
     "learners/test_own.py",
     "learners/test_parity.py",
+    "learners/test_recipes.py",
     "learners/test_saved.py",
     "learners/test_scaling.py",
     "policies/",

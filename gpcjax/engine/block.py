@@ -17,7 +17,7 @@ import numpy as np
 
 from gpcjax.engine.host import HostLoop
 from gpcjax.engine.identity import Keeper, Unknown, digest
-from gpcjax.engine.lanes import Lane, Phase, Start, map_lanes
+from gpcjax.engine.lanes import LEARNED, Lane, Phase, Start, map_by_field, map_lanes
 from gpcjax.engine.pace import Pace
 from gpcjax.engine.rollout import Loop
 from gpcjax.gp.batching import together
@@ -192,7 +192,10 @@ class Block:
         return list(zip((self.runs[place] for place in places), self._take(places), strict=True))
 
     def leaving(self, learned: bool = True) -> list[tuple[Occupant, Lane]]:
-        """Takes out the lanes that go no further here, with their runs; those that ended maybe without a state."""
+        """Takes out the lanes that go no further here, with their runs.
+
+        Of those that ended what they `learned` stays behind where nobody wants it.
+        """
         ended, outgrown = self._places(Phase.FINISHED), self._places(Phase.NEEDS_ROOM)
         places = ended + outgrown
         lanes = self._take(ended, learned) + self._take(outgrown)
@@ -373,7 +376,9 @@ class Block:
             return []
         if together():
             return self._take_from_device(places)
-        block = self.lanes if learned else dataclasses.replace(self.lanes, state=None, controller=None)
+        block = self.lanes
+        if not learned:
+            block = map_by_field(lambda leaf, field: None if field in LEARNED else leaf, block)
         taken = map_lanes(lambda leaf, axis: np.moveaxis(np.asarray(leaf), axis, 0)[places], block)
         return _apart(taken, len(places))
 

@@ -148,6 +148,15 @@ class Start:
 FIRST = ("learner", "state", "log")
 
 
+LEARNED = ("state", "controller")
+"""What of a lane a learner has learned."""
+
+
+def map_by_field(function: Callable[[Any, str], Any], lane: Lane) -> Lane:
+    """`function(leaf, field)` for each leaf, which may be any array, with the field of the lane that it is in."""
+    return jax.tree_util.tree_map_with_path(lambda path, leaf: function(leaf, path[0].name), lane)
+
+
 def map_lanes(function: Callable[..., Any], block: Lane, *others: Lane) -> Lane:
     """`function(leaf, *other leaves, axis)` for each leaf, with the axis that the lanes take in a block.
 

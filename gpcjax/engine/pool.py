@@ -13,7 +13,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from gpcjax.engine.asking import Expert
@@ -21,7 +20,7 @@ from gpcjax.engine.block import Block, Counters, Occupant, Tier
 from gpcjax.engine.host import HostLoop
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
-from gpcjax.engine.lanes import Lane, Phase, Start
+from gpcjax.engine.lanes import Lane, Phase, Start, map_by_field
 from gpcjax.engine.pace import Pace
 from gpcjax.engine.rollout import Loop
 from gpcjax.engine.snapshots import NotResumed, Snapshot, fitted
@@ -82,7 +81,10 @@ def tiers(max_capacity: int, together: bool = False, normalises: bool = False) -
 
 @dataclasses.dataclass(frozen=True)
 class Finished:
-    """A run that ended: its lane on the host, without a lanes axis (numpy); `state` is None where nobody wants it."""
+    """A run that ended: its lane on the host, without a lanes axis (numpy).
+
+    Where nobody wants what it learned, its `state` and `controller` have no arrays.
+    """
 
     name: Any
     lane: Lane
@@ -273,5 +275,4 @@ class Pool:
 def _without_room(lane: Lane) -> Lane:
     """A lane on the host with the rows of its own episodes."""
     episodes = int(lane.episodes)
-    rows = jax.tree.map(lambda column: column[:episodes], lane.rows)
-    return dataclasses.replace(lane, rows=rows)
+    return map_by_field(lambda leaf, field: leaf[:episodes] if field == "rows" else leaf, lane)

@@ -143,7 +143,6 @@ def test_xla_takes_each_option():
     assert starts(*xla_options()) == ""
 
 
-@pytest.mark.slow
 def test_xla_refuses_what_it_does_not_know():
     assert starts("--xla_no_such_option=1").startswith("--xla_no_such_option=1: ")
 
