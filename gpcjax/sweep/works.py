@@ -9,7 +9,7 @@ from gpcjax.sweep.experience import COMPILED_FROM, FROM_CACHE, FROM_TEXT, LEAST_
 from gpcjax.sweep.paces import Paces
 from gpcjax.sweep.plan import Program
 
-AT_FIRST = 0.4
+AT_FIRST = 0.25
 """Seconds that a worker takes with a new program beside its compilation and its blocks."""
 
 
