@@ -121,10 +121,12 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     return fixed(make(**options))
 
 
-def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | None = None) -> Pool:
+def make_pool(
+    cell: Cell, keeping: Keeping | None = None, programs: Keeper | None = None, learned: bool = True
+) -> Pool:
     """A pool for all cells of the program of `cell`, which hands out what is to be kept of their runs on the way.
 
-    What it compiles it looks for in `programs`, where that is kept.
+    What it compiles it looks for in `programs`, where that is kept. Runs that ended come with what they `learned`, or not.
     """
     program = program_of(cell)
     env, learner = make_env(program.env), recipe_of(cell).made()
@@ -145,7 +147,7 @@ def make_pool(cell: Cell, keeping: Keeping | None = None, programs: Keeper | Non
         tiers=_tiers(program),
         keep=Keep(keeping.every, keeping.best) if keeping is not None and on_the_way else None,
         kept=programs,
-        learned=keeping is not None,
+        learned=learned,
     )
 
 

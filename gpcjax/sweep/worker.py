@@ -113,7 +113,7 @@ class _Worker:
         wanted = program_of(first), keeping
         if self._pool is None or self._pool[0] != wanted:
             self._pool = None  # its memory first
-            self._pool = wanted, make_pool(first, keeping, self._programs)
+            self._pool = wanted, make_pool(first, keeping, self._programs, keeping is not None)
         return self._pool[1]
 
     def _look(self, pool: Pool) -> None:

@@ -15,7 +15,7 @@ import pytest
 import gpcjax
 from gpcjax import cli
 from gpcjax.engine.keeping import Keep
-from gpcjax.sweep import build, checkpointing, machine, runs
+from gpcjax.sweep import build, checkpointing, machine, runs, worker
 from gpcjax.sweep import run as run_module
 from gpcjax.sweep.checkpoints import HERE, remove_all, survey, told
 from gpcjax.sweep.executors import InProcess, Orders
@@ -336,3 +336,14 @@ def test_no_worker_outlives_its_parent(tmp_path):
             os.kill(running.pid, signal.SIGKILL)
             running.wait()
             wait_for(lambda workers=workers: not any(map(alive, workers)), 1.0)
+
+
+def test_runs_come_with_what_they_learned_but_to_workers_that_keep_nothing(monkeypatch):
+    """Illustrations and shipped oracles look at it, rows do not."""
+    (cell, *_), given = plan(spec_of(**COMPILED)), {}
+    monkeypatch.setattr(build, "Pool", lambda **named: given.update(named))
+    build.make_pool(cell)
+    assert given["learned"]
+    for keeping in (None, Keeping("states")):
+        worker._Worker(lambda message: None)._pool_for(cell, keeping)
+        assert given["learned"] == (keeping is not None)
