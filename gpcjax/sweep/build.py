@@ -126,7 +126,8 @@ def make_pool(
 ) -> Pool:
     """A pool for all cells of the program of `cell`, which hands out what is to be kept of their runs on the way.
 
-    What it compiles it looks for in `programs`, where that is kept. Runs that ended come with what they `learned`, or not.
+    What it compiles it looks for in `programs`, where that is kept. Runs that ended come with what they learned if
+    `learned` says so.
     """
     program = program_of(cell)
     env, learner = make_env(program.env), recipe_of(cell).made()
