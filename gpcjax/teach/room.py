@@ -72,10 +72,12 @@ class Room:
             if self._teaching is page:
                 self._teaching = None
                 self._lesson.submit(Command("left"))
-            await leave(websocket, page)
-            self._here.discard(page)
-            if not self._here:
-                self._empty.set()
+            try:
+                await leave(websocket, page)
+            finally:
+                self._here.discard(page)
+                if not self._here:
+                    self._empty.set()
 
     def _take(self, page: Page) -> None:
         if self._teaching is not None:
