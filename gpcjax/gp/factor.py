@@ -30,6 +30,9 @@ from gpcjax.gp.tiles import ROWS, Places, Roots, Vector
 
 Square = Float[Array, "n n"]
 
+LANES = 16
+"""Sums that a row's product with a vector is taken in at once: two of the widest vectors (`benchmarks/README.md`)."""
+
 
 def empty(capacity: int, lower: bool = False) -> Roots:
     """The root of no points, with room for `capacity`."""
@@ -82,6 +85,8 @@ class Reading(eqx.Module):
     """S^T S k = (K + noise I)^-1 k."""
     column: Vector
     """Of the precision matrix S^T S, for the point that was asked for."""
+    entries: Vector
+    """The column of S itself, for the same point."""
 
 
 class Edit(eqx.Module):
@@ -132,21 +137,26 @@ def read(
     if together():
         root = _whole(roots, place, k.shape[0], lower)
         whitened = root @ k
-        column = jnp.zeros(n) if point is None else (jnp.take(root, point, axis=1) @ root)[:n]
-        return Reading(jnp.square(whitened).sum(), (whitened @ root)[:n], column)
+        entries = jnp.zeros(k.shape[0]) if point is None else jnp.take(root, point, axis=1)
+        column = entries @ root
+        return Reading(jnp.square(whitened).sum(), (whitened @ root)[:n], column[:n], entries[:n])
 
     def panel(
-        index: Int[Array, ""], sums: tuple[Array, tuple[Vector, ...]]
-    ) -> tuple[Array, tuple[Vector, ...]]:
-        total, products = sums
+        index: Int[Array, ""], sums: tuple[Array, tuple[Vector, ...], Vector]
+    ) -> tuple[Array, tuple[Vector, ...], Vector]:
+        total, products, entries = sums
         rows = tiles.Panel(roots, place, count, index, k.shape[0], lower)
         whitened = _whiten(rows, k)
-        factors = [whitened] if point is None else [whitened, rows.column(point)]
+        factors = [whitened]
+        if point is not None:
+            here = rows.column(point)
+            factors.append(here)
+            entries = lax.dynamic_update_slice(entries, here, (index * ROWS,))
 
         def add(j: Int[Array, ""], products: tuple[Vector, ...]) -> tuple[Vector, ...]:
             tile, start = rows.tile(j), j * rows.width
             sums = (
-                lax.dynamic_slice(product, (start,), (rows.width,)) + part @ tile
+                _weighted(tile, part, lax.dynamic_slice(product, (start,), (rows.width,)))
                 for part, product in zip(factors, products, strict=True)
             )
             return tuple(
@@ -154,11 +164,13 @@ def read(
                 for product, total in zip(products, sums, strict=True)
             )
 
-        return total + (whitened * whitened).sum(), lax.fori_loop(0, rows.tiles, add, products)
+        return total + (whitened * whitened).sum(), lax.fori_loop(0, rows.tiles, add, products), entries
 
-    products = (jnp.zeros_like(k),) * (1 if point is None else 2)
-    total, products = lax.fori_loop(0, tiles.whole(count, ROWS), panel, (jnp.zeros(()), products))
-    return Reading(total, products[0][:n], jnp.zeros(n) if point is None else products[1][:n])
+    nothing = jnp.zeros_like(k)
+    sums = jnp.zeros(()), (nothing,) * (1 if point is None else 2), nothing
+    total, products, entries = lax.fori_loop(0, tiles.whole(count, ROWS), panel, sums)
+    column = nothing if point is None else products[1]
+    return Reading(total, products[0][:n], column[:n], entries[:n])
 
 
 def new_row(
@@ -200,9 +212,8 @@ def edit(
     """
     n = reading.solved.shape[0]
     here, replaces = jnp.arange(n) == index, index < count
-    column = tiles.cut(roots, place, (0, index), (n, 1))[:, 0]
-    norm = jnp.sqrt((column * column).sum())
-    pivot = jnp.where(here, column, 0.0).sum()
+    column = reading.entries
+    norm, pivot = jnp.sqrt((column * column).sum()), _at(column, index)
     # The sign that adds to the pivot: the reflector is then never a difference of equals.
     shift = jnp.where(pivot < 0, -norm, norm)
     reflector = jnp.where(replaces, column + jnp.where(here, shift, 0.0), 0.0)
@@ -210,7 +221,7 @@ def edit(
     scaled = reflector / jnp.where(replaces, norm * (norm + jnp.abs(pivot)), 1.0)
     image = reading.column + shift * tiles.cut(roots, place, (index, 0), (1, n))[0]
     # Without the old point, whose row of Q S is column^T / norm: what it explained, and its part in the weights.
-    part = jnp.where(replaces, jnp.where(here, reading.solved, 0.0).sum() / norm, 0.0)
+    part = jnp.where(replaces, _at(reading.solved, index) / norm, 0.0)
     share = part / jnp.where(replaces, norm, 1.0)
     solved = reading.solved - jnp.where(replaces, reading.column, 0.0) * share
     _, row = new_row(solved, reading.explained - part * part, index, prior, noise)
@@ -265,16 +276,38 @@ def append(roots: Roots, place: Places, index: Int[Array, ""], row: Vector) -> R
     return lax.fori_loop(0, jnp.where(index < n, panel.tiles, 0), put, roots)
 
 
+def _at(vector: Vector, index: Int[Array, ""]) -> Float[Array, ""]:
+    """One of its numbers, the last one for an index beyond."""
+    return lax.dynamic_index_in_dim(vector, index, keepdims=False)
+
+
 def _whole(roots: Roots, place: Places, size: int, lower: bool) -> Square:
     """S of the one at `place` as a matrix, with its empty rows."""
     return dense(tiles.take(roots, place), size, lower)
 
 
 def _whiten(panel: tiles.Panel, covariances: Vector) -> Float[Array, " rows"]:
-    """S k for the rows of a panel."""
+    """S k for the rows of a panel.
 
-    def add(j: Int[Array, ""], whitened: Vector) -> Vector:
-        part = lax.dynamic_slice(covariances, (j * panel.width,), (panel.width,))
-        return whitened + panel.tile(j) @ part
+    Written out as sums of vectors, one for each row, which are added up in the end: XLA then reads the tiles where they
+    are. A product with a tile (`jnp.dot`) takes a copy of it first, and twice as long.
+    """
+    width = panel.width
+    lanes = LANES if width % LANES == 0 else ROWS
 
-    return lax.fori_loop(0, panel.tiles, add, jnp.zeros(ROWS))
+    def add(j: Int[Array, ""], sums: Float[Array, "rows lanes"]) -> Float[Array, "rows lanes"]:
+        tile, part = panel.tile(j), lax.dynamic_slice(covariances, (j * width,), (width,))
+        for first in range(0, width, lanes):
+            sums += tile[:, first : first + lanes] * part[None, first : first + lanes]
+        return sums
+
+    return lax.fori_loop(0, panel.tiles, add, jnp.zeros((ROWS, lanes))).sum(1)
+
+
+def _weighted(
+    tile: Float[Array, "rows columns"], weights: Float[Array, " rows"], total: Float[Array, " columns"]
+) -> Float[Array, " columns"]:
+    """`total` and the weighted sum of a tile's rows, written out for the same reason."""
+    for row in range(ROWS):
+        total += weights[row] * tile[row]
+    return total

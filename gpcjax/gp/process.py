@@ -17,11 +17,17 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from gpcjax.gp import tiles
+from gpcjax.gp.batching import together
 from gpcjax.gp.kernels import Kernel
 from gpcjax.gp.posterior import Posterior
 from gpcjax.gp.tiles import Places
+
+PART = 64
+"""Points whose covariances are computed at once."""
 
 
 class Change(eqx.Module):
@@ -123,10 +129,28 @@ class GaussianProcess(eqx.Module):
     def grow_matrix(self, matrix: Float[Array, "..."], old: int, capacity: int) -> Float[Array, "..."]:
         """That of a posterior with room for `old` points, for `capacity`: as many or more."""
 
-    def covariances(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, " n"]:
-        """k(x_i, x) with every point of the dictionary, zero on unused rows."""
-        values = self.kernel.covariances(posterior.points, point, posterior.scale)
-        return jnp.where(posterior.active, values, 0.0)
+    def covariances(
+        self, posteriors: Posterior, place: Places, point: Float[Array, " d"]
+    ) -> Float[Array, " n"]:
+        """k(x_i, x) with every point of the dictionary at `place`, zero on unused rows.
+
+        Only of the parts in use, however much room there is. The loop has another use, too: without it XLA computes
+        all of them anew wherever one is asked for, and number by number where they are summed or compared.
+        """
+        n, d = posteriors.points.shape[-2:]
+        size = n if together() or n % PART else PART
+        count, scale = posteriors.count[place], tiles.take(posteriors.scale, place)
+
+        def part(index: Int[Array, ""], covariances: Float[Array, " n"]) -> Float[Array, " n"]:
+            first = index * size
+            points = tiles.cut(posteriors.points, place, (first, 0), (size, d))
+            active = first + jnp.arange(size) < count
+            values = jnp.where(active, self.kernel.covariances(points, point, scale), 0.0)
+            return lax.dynamic_update_slice(covariances, values, (first,))
+
+        if together():
+            return part(jnp.int32(0), jnp.zeros(n))
+        return lax.fori_loop(0, tiles.whole(count, size), part, jnp.zeros(n))
 
     def deviation(self, explained: Float[Array, ""]) -> Float[Array, ""]:
         """Predictive standard deviation of an input of whose variance the points explain this, noise included (2.9).
@@ -137,7 +161,7 @@ class GaussianProcess(eqx.Module):
 
     def uncertainty(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, ""]:
         """Predictive standard deviation at `point`."""
-        return self.deviation(self.explained(posterior, (), self.covariances(posterior, point)))
+        return self.deviation(self.explained(posterior, (), self.covariances(posterior, (), point)))
 
     def sound(self, change: Change, scale: Float[Array, " d"]) -> Bool[Array, ""]:
         """Whether all that a change would write is a number, and no point so far away that its distances are none.

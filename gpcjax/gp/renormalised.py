@@ -87,6 +87,13 @@ class Renormalised(GaussianProcess):
             capacity, self._scaled(jnp.ones_like(scale)), jnp.eye(capacity if self.keeps_weights else 0)
         )
 
+    def covariances(
+        self, posteriors: Posterior, place: Places, point: Float[Array, " d"]
+    ) -> Float[Array, " n"]:
+        """k(x_i, x), of all rows at once: little beside a factorisation, and it has derivatives of either mode."""
+        data = small(posteriors, place)
+        return jnp.where(data.active, self.kernel.covariances(data.points, point, data.scale), 0.0)
+
     def explained(
         self, posteriors: Posterior, place: Places, covariances: Float[Array, " n"]
     ) -> Float[Array, ""]:

@@ -67,11 +67,16 @@ class _Consulted(eqx.Module):
 def _consult(
     process: GaussianProcess, posteriors: Posterior, place: Places, point: Float[Array, " d"]
 ) -> _Consulted:
-    posterior = small(posteriors, place)
-    covariances = process.covariances(posterior, point)
-    nearest = covariances.argmax()
+    covariances = process.covariances(posteriors, place, point)
+    nearest = _largest(covariances)
     reading = process.read(posteriors, place, covariances, nearest)
-    return _Consulted(posterior, nearest, reading)
+    return _Consulted(small(posteriors, place), nearest, reading)
+
+
+def _largest(values: Float[Array, " n"]) -> Int[Array, ""]:
+    """Where the first of the largest is. XLA makes loops over vectors of these two, and none of `argmax`."""
+    last = values.shape[0] - 1
+    return jnp.where(values == values.max(), jnp.arange(last + 1, dtype=jnp.int32), last).min()
 
 
 class GPC(Learner):

@@ -112,14 +112,14 @@ def _regression(
 
     def put(posterior: Posterior, pair: Any) -> tuple[Posterior, None]:
         point, target = pair[0][None], pair[1]
-        reading = process.read(posterior, (), process.covariances(posterior, point))
+        reading = process.read(posterior, (), process.covariances(posterior, (), point))
         change = process.put(posterior, (), reading, point, target, posterior.count, jnp.array(True))
         return change.write(posterior, ()), None
 
     posterior, _ = jax.lax.scan(put, process.init(points.size, jnp.ones(1)), (points, targets))
 
     def at(place: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        mean = (process.covariances(posterior, place[None]) * posterior.weights).sum()
+        mean = (process.covariances(posterior, (), place[None]) * posterior.weights).sum()
         return mean, process.uncertainty(posterior, place[None])
 
     return *jax.vmap(at)(x), log_marginal_likelihood(kernel, noise, points[:, None], targets)

@@ -63,7 +63,7 @@ def programs():
         process = jax.tree.map(lambda leaf: leaf * noise, process)
         posterior = process.init(CAPACITY, jnp.ones(4))
         index = jnp.zeros((), jnp.int32)
-        reading = process.read(posterior, (), process.covariances(posterior, obs))
+        reading = process.read(posterior, (), process.covariances(posterior, (), obs))
         return process.put(posterior, (), reading, obs, noise, index, jnp.array(True))
 
     return {

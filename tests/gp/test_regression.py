@@ -55,7 +55,7 @@ def empty(process: GaussianProcess, capacity: int = CAPACITY) -> Posterior:
 
 @jax.jit
 def _put(process, posteriors, where, point, target, index, given):
-    covariances = process.covariances(small(posteriors, where), point)
+    covariances = process.covariances(posteriors, where, point)
     reading = process.read(posteriors, where, covariances, index)
     change = process.put(posteriors, where, reading, point, target, index, given)
     return change.write(posteriors, where)
@@ -71,7 +71,7 @@ def put(process, posteriors, point, target, index, given=True, where=()) -> Post
 def _append(process, posteriors, where, point, target, given):
     """As a learner does, which knows only afterwards whether what it would learn is a number."""
     before = small(posteriors, where)
-    reading = process.read(posteriors, where, process.covariances(before, point))
+    reading = process.read(posteriors, where, process.covariances(posteriors, where, point))
     change = process.put(posteriors, where, reading, point, target, before.count, jnp.array(True))
     return reading.deviation, change.only(given).write(posteriors, where)
 
@@ -86,7 +86,7 @@ scaled = jax.jit(normalising_scale)
 
 @jax.jit
 def _predict(process, posterior, point):
-    mean = (process.covariances(posterior, point) * posterior.weights).sum()
+    mean = (process.covariances(posterior, (), point) * posterior.weights).sum()
     return mean, process.uncertainty(posterior, point)
 
 

@@ -103,7 +103,7 @@ def test_a_model_that_learns_by_tiles(by_tiles, monkeypatch, keeps_weights):
 
         @jax.jit
         def learned(posterior, point, target, index):
-            reading = process.read(posterior, (), process.covariances(posterior, point))
+            reading = process.read(posterior, (), process.covariances(posterior, (), point))
             change = process.put(posterior, (), reading, point, target, index, jnp.array(True))
             return change.write(posterior, ()), reading.deviation
 
@@ -178,7 +178,7 @@ def uncertainty(noise):
 
     def learned(posterior, given):
         index, point, target = given
-        reading = process.read(posterior, (), process.covariances(posterior, point))
+        reading = process.read(posterior, (), process.covariances(posterior, (), point))
         change = process.put(posterior, (), reading, point, target, index, jnp.array(True))
         return change.write(posterior, ()), None
 

@@ -38,7 +38,7 @@ def _dense(process, points, query, scale):
 
 @jax.jit
 def _explained(process, posterior, place):
-    return process.explained(posterior, (), process.covariances(posterior, place))
+    return process.explained(posterior, (), process.covariances(posterior, (), place))
 
 
 def dense_of(*given):
