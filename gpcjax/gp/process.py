@@ -195,3 +195,12 @@ class GaussianProcess(eqx.Module):
     def prior(self) -> Float[Array, ""]:
         """Variance of an observation before any data."""
         return jnp.add(self.kernel.variance, self.noise)  # on the host too an array of jax
+
+
+def nearest(covariances: Float[Array, " n"]) -> Int[Array, ""]:
+    """Row of the first point of largest covariance, int32; the last row where one is no number.
+
+    XLA makes loops over vectors of these two reductions, and compares number by number for `argmax`.
+    """
+    last = covariances.shape[0] - 1
+    return jnp.where(covariances == covariances.max(), jnp.arange(last + 1, dtype=jnp.int32), last).min()

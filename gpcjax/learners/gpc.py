@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from gpcjax.gp.posterior import Posterior, small
-from gpcjax.gp.process import Change, GaussianProcess, Reading
+from gpcjax.gp.process import Change, GaussianProcess, Reading, nearest
 from gpcjax.gp.tiles import Places
 from gpcjax.learners.base import Info, Learner, Status
 from gpcjax.learners.calls import check_kept
@@ -68,15 +68,9 @@ def _consult(
     process: GaussianProcess, posteriors: Posterior, place: Places, point: Float[Array, " d"]
 ) -> _Consulted:
     covariances = process.covariances(posteriors, place, point)
-    nearest = _largest(covariances)
-    reading = process.read(posteriors, place, covariances, nearest)
-    return _Consulted(small(posteriors, place), nearest, reading)
-
-
-def _largest(values: Float[Array, " n"]) -> Int[Array, ""]:
-    """Where the first of the largest is. XLA makes loops over vectors of these two, and none of `argmax`."""
-    last = values.shape[0] - 1
-    return jnp.where(values == values.max(), jnp.arange(last + 1, dtype=jnp.int32), last).min()
+    closest = nearest(covariances)
+    reading = process.read(posteriors, place, covariances, closest)
+    return _Consulted(small(posteriors, place), closest, reading)
 
 
 class GPC(Learner):

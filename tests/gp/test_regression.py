@@ -15,7 +15,7 @@ from gpcjax.gp import factor
 from gpcjax.gp.appending import Appending
 from gpcjax.gp.kernels import SQUARED_EXPONENTIAL, Kernel
 from gpcjax.gp.posterior import Posterior, small, take
-from gpcjax.gp.process import GaussianProcess
+from gpcjax.gp.process import PART, GaussianProcess, nearest
 from gpcjax.gp.renormalised import Renewed, Renormalised, normalising_scale
 from gpcjax.gp.replacing import Replacing
 from tests.trees import assert_close, assert_same_bits
@@ -270,6 +270,30 @@ def test_across_the_borders_of_blocks(normalise, capacity):
             np.testing.assert_allclose(mean, fitted[0], atol=1e-8)
             np.testing.assert_allclose(deviation, np.maximum(fitted[1], np.sqrt(NOISE)), atol=1e-8)
             np.testing.assert_array_equal(posterior.points[:count], points[:count])
+
+
+@pytest.mark.parametrize("capacity", [48, 2 * PART, 2 * PART + 1])
+def test_covariances_are_those_of_the_points_in_use(capacity):
+    """In whatever parts they are computed; unused rows may hold anything here."""
+    process, rng = make(False), np.random.default_rng(capacity)
+    points, point = rng.normal(size=(capacity, 3)), jnp.asarray(rng.normal(size=3))
+    posterior = dataclasses.replace(empty(process, capacity), points=jnp.asarray(points))
+    several = jax.tree.map(lambda leaf: jnp.stack([jnp.full_like(leaf, 7), leaf]), posterior)
+    whole = np.asarray(jax.jit(Kernel.covariances)(process.kernel, points, point, posterior.scale))
+    covariances = jax.jit(GaussianProcess.covariances)
+    for count in {0, 1, PART - 1, PART, PART + 1, capacity} & set(range(capacity + 1)):
+        counted = dataclasses.replace(several, count=jnp.array([3, count], jnp.int32))
+        found = covariances(process, counted, (jnp.int32(1),), point)
+        np.testing.assert_allclose(found[:count], whole[:count], rtol=1e-14, atol=0)
+        assert not np.any(found[count:])
+
+
+@pytest.mark.parametrize(
+    ("values", "row"),
+    [([0.1, 0.7, 0.2], 1), ([0.0, 0.0], 0), ([0.2, 0.9, 0.3, 0.9], 1), ([0.4], 0), ([0.4, np.nan, 0.5], 2)],
+)
+def test_the_nearest_point_is_the_first_of_largest_covariance(values, row):
+    assert nearest(jnp.asarray(values)) == row
 
 
 @fixed_first
