@@ -22,7 +22,7 @@ from tests.trees import assert_same_bits
 ROOT = Path(__file__).parents[2]
 LANES = 16
 
-CAPACITY = 768
+CAPACITY = 1536
 """Of dictionaries of which some are factorised tile by tile, and large ones by LAPACK."""
 
 
