@@ -30,9 +30,6 @@ from gpcjax.gp.tiles import ROWS, Places, Roots, Vector
 
 Square = Float[Array, "n n"]
 
-LANES = 16
-"""Sums that a row's product with a vector is taken in at once: two of the widest vectors (`benchmarks/README.md`)."""
-
 
 def empty(capacity: int, lower: bool = False) -> Roots:
     """The root of no points, with room for `capacity`."""
@@ -111,7 +108,7 @@ def explained(
         return jnp.square(_whole(roots, place, k.shape[0], lower) @ k).sum()
 
     def panel(index: Int[Array, ""], total: Float[Array, ""]) -> Float[Array, ""]:
-        whitened = _whiten(tiles.Panel(roots, place, count, index, k.shape[0], lower), k)
+        whitened = tiles.Panel(roots, place, count, index, k.shape[0], lower).product(k)
         return total + (whitened * whitened).sum()
 
     return lax.fori_loop(0, tiles.whole(count, ROWS), panel, jnp.zeros(()))
@@ -146,7 +143,7 @@ def read(
     ) -> tuple[Array, tuple[Vector, ...], Vector]:
         total, products, entries = sums
         rows = tiles.Panel(roots, place, count, index, k.shape[0], lower)
-        whitened = _whiten(rows, k)
+        whitened = rows.product(k)
         factors = [whitened]
         if point is not None:
             here = rows.column(point)
@@ -154,15 +151,7 @@ def read(
             entries = lax.dynamic_update_slice(entries, here, (index * ROWS,))
 
         def add(j: Int[Array, ""], products: tuple[Vector, ...]) -> tuple[Vector, ...]:
-            tile, start = rows.tile(j), j * rows.width
-            sums = (
-                _weighted(tile, part, lax.dynamic_slice(product, (start,), (rows.width,)))
-                for part, product in zip(factors, products, strict=True)
-            )
-            return tuple(
-                lax.dynamic_update_slice(product, total, (start,))
-                for product, total in zip(products, sums, strict=True)
-            )
+            return tuple(rows.add(j, part, product) for part, product in zip(factors, products, strict=True))
 
         return total + (whitened * whitened).sum(), lax.fori_loop(0, rows.tiles, add, products), entries
 
@@ -284,30 +273,3 @@ def _at(vector: Vector, index: Int[Array, ""]) -> Float[Array, ""]:
 def _whole(roots: Roots, place: Places, size: int, lower: bool) -> Square:
     """S of the one at `place` as a matrix, with its empty rows."""
     return dense(tiles.take(roots, place), size, lower)
-
-
-def _whiten(panel: tiles.Panel, covariances: Vector) -> Float[Array, " rows"]:
-    """S k for the rows of a panel.
-
-    Written out as sums of vectors, one for each row, which are added up in the end: XLA then reads the tiles where they
-    are. A product with a tile (`jnp.dot`) takes a copy of it first, and twice as long.
-    """
-    width = panel.width
-    lanes = LANES if width % LANES == 0 else ROWS
-
-    def add(j: Int[Array, ""], sums: Float[Array, "rows lanes"]) -> Float[Array, "rows lanes"]:
-        tile, part = panel.tile(j), lax.dynamic_slice(covariances, (j * width,), (width,))
-        for first in range(0, width, lanes):
-            sums += tile[:, first : first + lanes] * part[None, first : first + lanes]
-        return sums
-
-    return lax.fori_loop(0, panel.tiles, add, jnp.zeros((ROWS, lanes))).sum(1)
-
-
-def _weighted(
-    tile: Float[Array, "rows columns"], weights: Float[Array, " rows"], total: Float[Array, " columns"]
-) -> Float[Array, " columns"]:
-    """`total` and the weighted sum of a tile's rows, written out for the same reason."""
-    for row in range(ROWS):
-        total += weights[row] * tile[row]
-    return total

@@ -4,33 +4,19 @@ A point moves the scale, and with it every entry of the Gram matrix: all is comp
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from gpcjax.gp import cholesky, tiled, tiles
-from gpcjax.gp.batching import together
 from gpcjax.gp.kernels import Kernel
-from gpcjax.gp.posterior import Posterior, empty, small, take
+from gpcjax.gp.leading import Problem, leading
+from gpcjax.gp.posterior import Posterior, empty, small
 from gpcjax.gp.process import Change, GaussianProcess, Reading
 from gpcjax.gp.tiles import Places
-
-_SIZES = (
-    *(16, 32, 48, 64, 96, 128, 192, 256, 384),
-    *(quarter << octave for octave in range(7, 20) for quarter in (4, 5, 6, 7)),
-)
-"""Leading rows that LAPACK factorises alone; finer from 512 on, where a factor takes longer than to compile it."""
-
-_FEW, _TILED = 128, 512
-"""Rooms for matrices that are factorised tile by tile, as many tiles as are in use: the second one for all that are,
-the first one where it saves much of what it costs to zero the room. Each takes half a second to compile. LAPACK is
-faster with more points.
-"""
 
 SMALLEST_DEVIATION = 1e-6
 """A dimension that varies less than this over the dictionary is not normalised (DESIGN section 2, sigma_m)."""
@@ -40,6 +26,9 @@ class Renewed(Change):
     """A posterior with normalisation after a point: all of it is new."""
 
     posterior: Posterior
+    """Without its matrix."""
+    upper: tiled.Room
+    """U = L^T in its first n columns, as `tiled.Factor` has it; 0 times 0 in a model that keeps none."""
     given: Bool[Array, ""]
     """Whether there is anything to be written."""
 
@@ -49,9 +38,15 @@ class Renewed(Change):
 
     def write(self, posteriors: Posterior, place: Places) -> Posterior:
         """The posteriors with this one at `place`."""
-        before = take(posteriors, place)
-        after = jax.tree.map(lambda new, old: jnp.where(self.given, new, old), self.posterior, before)
-        return jax.tree.map(lambda leaf, value: leaf.at[place].set(value), posteriors, after)
+        written = {"matrix": posteriors.matrix}
+        for name in ("points", "targets", "count", "scale", "weights"):
+            new, leaf = getattr(self.posterior, name), getattr(posteriors, name)
+            written[name] = leaf.at[place].set(jnp.where(self.given, new, tiles.take(leaf, place)))
+        if self.upper.size:
+            write = _write_by_tiles if tiled.is_fast(self.upper.shape[0]) else _write
+            count = self.posterior.count
+            written["matrix"] = write(posteriors.matrix, place, count, self.upper, self.given)
+        return Posterior(**written)
 
     def points(self) -> Float[Array, "n d"]:
         """All of the dictionary."""
@@ -100,7 +95,7 @@ class Renormalised(GaussianProcess):
         """|L^-1 k|^2."""
         if not self.keeps_weights:
             data = small(posteriors, place)
-            return _leading(_explained, self._problem(data, data.scale, covariances))
+            return leading(_explained, self._problem(data, data.scale, covariances), Problem.nearby)
         count = tiles.take(posteriors.count, place)
         whiten = _whiten_by_tiles if tiled.is_fast(covariances.shape[0]) else _whiten
         whitened = whiten(posteriors.matrix, place, count, covariances)
@@ -127,17 +122,20 @@ class Renormalised(GaussianProcess):
         write: Bool[Array, ""],
     ) -> Renewed:
         """The posterior with a point in row `index`, in use or the first that is free."""
-        before = take(posteriors, place)
+        before = small(posteriors, place)
         here = (jnp.arange(before.capacity) == index) & write
         count = before.count + (write & (index >= before.count)).astype(before.count.dtype)
         targets = jnp.where(here, target, before.targets)
         points = jnp.where(here[:, None], point[None], before.points)
         data = dataclasses.replace(before, points=points, targets=targets, count=count)
-        return Renewed(self._refactored(data), write)
+        return Renewed(*self._refactored(data), write)
 
     def renewed(self, data: Posterior) -> Posterior:
         """As after every point."""
-        return self._refactored(data)
+        after, upper = self._refactored(data)
+        return (
+            dataclasses.replace(after, matrix=tiled.lower(upper, data.count)) if self.keeps_weights else after
+        )
 
     def grow_matrix(self, matrix: cholesky.Square, old: int, capacity: int) -> Float[Array, "m m"]:
         """The factor with a unit diagonal on the new rows, if there is one."""
@@ -146,108 +144,49 @@ class Renormalised(GaussianProcess):
         unused = jnp.diag((jnp.arange(capacity) >= old).astype(matrix.dtype))
         return jnp.pad(matrix, (0, capacity - old)) + unused
 
-    def _refactored(self, data: Posterior) -> Posterior:
+    def _refactored(self, data: Posterior) -> tuple[Posterior, tiled.Room]:
+        """With scale and weights made anew, and U."""
         scale = self._scaled(normalising_scale(data.points, data.active))
         if not self.keeps_weights:
-            return dataclasses.replace(data, scale=scale)
-        lower, weights = _leading(_factorised, self._problem(data, scale, data.targets))
-        return dataclasses.replace(data, matrix=lower, scale=scale, weights=weights)
+            return dataclasses.replace(data, scale=scale), jnp.zeros((0, 0))
+        upper, weights = leading(_factorised, self._problem(data, scale, data.targets))
+        return dataclasses.replace(data, scale=scale, weights=weights), upper
 
-    def _problem(self, data: Posterior, scale: Float[Array, " d"], vector: Float[Array, " n"]) -> "_Problem":
-        return _Problem(self.kernel, self.noise, data.points, data.count, scale, vector)
+    def _problem(self, data: Posterior, scale: Float[Array, " d"], vector: Float[Array, " n"]) -> Problem:
+        return Problem(self.kernel, self.noise, data.points, data.count, scale, vector)
 
     def _scaled(self, scale: Float[Array, " d"]) -> Float[Array, " d"]:
         return scale if self.scaling is None else scale * self.scaling
 
 
-class _Problem(eqx.Module):
-    """K + noise I of a dictionary and a vector v; both have nothing where there is no point."""
-
-    kernel: Kernel
-    noise: Float[Array, ""]
-    points: Float[Array, "n d"]
-    count: Int[Array, ""]
-    scale: Float[Array, " d"]
-    vector: Float[Array, " n"]
-
-    @property
-    def capacity(self) -> int:
-        return self.points.shape[0]
-
-    def leading(self, size: int) -> "_Problem":
-        """Its first rows, which hold all points in use."""
-        return dataclasses.replace(self, points=self.points[:size], vector=self.vector[:size])
-
-    def tiled(self) -> tiled.Factor:
-        return tiled.factor(self.kernel, self.points, self.scale, self.count, self.noise, self.vector)
-
-    def whole(self) -> tuple[cholesky.Square, Float[Array, " n"]]:
-        """L of all rows, and L^-1 v."""
-        active = jnp.arange(self.capacity) < self.count
-        lower = cholesky.factor(self.kernel.gram(self.points, self.scale), active, self.noise)
-        return lower, cholesky.solve(lower, self.vector)
-
-
-def _explained(problem: _Problem, by_tiles: bool, capacity: int) -> Float[Array, ""]:
+def _explained(problem: Problem, by_tiles: bool, capacity: int) -> Float[Array, ""]:
     """v^T (K + noise I)^-1 v."""
     whitened = problem.tiled().whitened if by_tiles else problem.whole()[1]
     return (whitened * whitened).sum()
 
 
-def _factorised(
-    problem: _Problem, by_tiles: bool, capacity: int
-) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
-    """L, with a unit diagonal where there is no point, and (K + noise I)^-1 v, of so many rows."""
+def _factorised(problem: Problem, by_tiles: bool, capacity: int) -> tuple[tiled.Room, Float[Array, " n"]]:
+    """U, of which what is below the diagonal means nothing, and (K + noise I)^-1 v, of so many rows."""
     if by_tiles:
         factor = problem.tiled()
-        lower, solved = factor.lower(), factor.solved()
+        upper, solved = factor.matrix, factor.solved()
     else:
         lower, whitened = problem.whole()
-        solved = cholesky.solve(lower, whitened, transpose=True)
-    size = problem.capacity
-    if size == capacity:
-        return lower, solved
-    return jnp.eye(capacity).at[:size, :size].set(lower), jnp.pad(solved, (0, capacity - size))
+        upper, solved = lower.T, cholesky.solve(lower, whitened, transpose=True)
+    more = capacity - problem.capacity
+    upper = jnp.pad(upper, ((0, more), (0, capacity + tiled.SIDE - upper.shape[1])))
+    return upper, jnp.pad(solved, (0, more))
 
 
-def _leading(function: Callable[[_Problem, bool, int], PyTree], problem: _Problem) -> PyTree:
-    """`function(problem, by_tiles, capacity)` of the smallest of a few leading parts that hold all points.
-
-    Under `vmap` one lane after the other, each with its own size: in one go all lanes would be factorised at all
-    sizes. 64 lanes of capacity 64 learned 1,900 corrections a second like this and 1,000 in one go (there on one
-    thread, where that does not hang; 16 lanes: 1,200 and 860; a busy machine of two cores). On an accelerator all lanes
-    at once, with their empty rows.
-    """
-    capacity = problem.capacity
-    if together():
-        return function(problem, False, capacity)
-
-    def by(are_tiled: bool) -> Callable[[_Problem], PyTree]:
-        sizes = _leading_sizes(capacity, are_tiled)
-
-        def at(size: int) -> Callable[[_Problem], PyTree]:
-            by_tiles = are_tiled and size <= _TILED
-            return lambda problem: function(problem.leading(size), by_tiles, capacity)
-
-        def choose(problem: _Problem) -> PyTree:
-            if len(sizes) == 1:
-                return at(capacity)(problem)
-            index = jnp.searchsorted(jnp.array(sizes), problem.count)
-            return lax.switch(index, [at(size) for size in sizes], problem)
-
-        return choose
-
-    return cholesky.one_at_a_time(by(tiled.is_fast(capacity)), derived=by(False))(problem)
+def _write(
+    matrices: PyTree, place: Places, count: Int[Array, ""], upper: tiled.Room, given: Bool[Array, ""]
+) -> PyTree:
+    """The factors with that of so many points at `place`, if it is `given`."""
+    return matrices.at[place].set(jnp.where(given, tiled.lower(upper, count), tiles.take(matrices, place)))
 
 
-def _leading_sizes(capacity: int, are_tiled: bool) -> tuple[int, ...]:
-    """Sizes for dictionaries that have not filled their room: from a sixth of it on; by tiles one at most."""
-    sizes = [size for size in _SIZES if capacity / 6 <= size < capacity]
-    if are_tiled:
-        smaller = _TILED if capacity > _TILED else _FEW
-        helps = capacity > _TILED or capacity >= 4 * _FEW
-        sizes = [size for size in sizes if size > _TILED or (size == smaller and helps)]
-    return (*sizes, capacity)
+_write_by_tiles = jax.custom_jvp(tiled.write)
+_write_by_tiles.defjvp(lambda primals, tangents: jax.jvp(_write, primals, tangents))
 
 
 def _whiten(matrix: PyTree, place: Places, count: Int[Array, ""], vector: Float[Array, " n"]) -> PyTree:

@@ -2,7 +2,7 @@
 
 Loops go over the tiles of the points in use, however much room there is, and over half of the matrix. Where XLA
 compiles all of them to one function, that takes four fifths to nine tenths of LAPACK's time for a matrix that is made
-before, with up to some hundred points (`benchmarks/README.md`).
+before, with up to some hundred points, and no more with up to a thousand (`benchmarks/README.md`).
 """
 
 import os
@@ -10,7 +10,7 @@ import os
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from gpcjax.gp import tiles
 from gpcjax.gp.batching import together
@@ -39,22 +39,13 @@ def is_fast(capacity: int) -> bool:
 class Factor(eqx.Module):
     """U of the points in use, and one vector v.
 
-    `matrix` has U, of whose tiles what is below the diagonal means nothing, and beside it in a column of tiles U^-T v.
+    `matrix` has U, of which what is below the diagonal means nothing, and beside it in a column of tiles U^-T v.
     `inverse` has U^-1 of the tiles on the diagonal.
     """
 
     matrix: Room
     inverse: Inverses
     count: Index
-
-    def lower(self) -> Float[Array, "m m"]:
-        """U^T; the identity where there is no point."""
-        n = self.matrix.shape[0]
-        rows = jnp.arange(n)
-        diagonal = rows[:, None] == rows[None]
-        unused = (rows >= tiles.whole(self.count, SIDE) * SIDE)[:, None]
-        lower = jnp.where(rows[:, None] < rows[None], 0.0, self.matrix[:n, :n].T)
-        return jnp.where(unused & diagonal, 1.0, lower)
 
     @property
     def whitened(self) -> Vector:
@@ -117,6 +108,34 @@ def factor(
     room = jnp.zeros((size, size + SIDE)), jnp.zeros((size, SIDE))
     upper, inverses = lax.fori_loop(jnp.int32(0), used, row, room)
     return Factor(upper, inverses, count)
+
+
+def lower(upper: Room, count: Index) -> Float[Array, "m m"]:
+    """L = U^T of so many points, from U; the identity where there is none."""
+    n = upper.shape[0]
+    rows = jnp.arange(n)
+    factor = jnp.where(rows[:, None] < rows[None], 0.0, upper[:, :n].T)
+    return jnp.where((rows < count)[:, None], factor, jnp.eye(n))
+
+
+def write(
+    lowers: Float[Array, "..."], place: Places, count: Index, upper: Room, given: Bool[Array, ""]
+) -> Float[Array, "..."]:
+    """The factors L with that of so many points at `place`, from U, if it is `given`; tile by tile, where they are.
+
+    What is there has to be zero above the diagonal, and the identity from `count` on.
+    """
+
+    def row(i: Index, lowers: Float[Array, "..."]) -> Float[Array, "..."]:
+        def column(j: Index, lowers: Float[Array, "..."]) -> Float[Array, "..."]:
+            tile = _tile(upper, j, i)
+            tile = jnp.where(i == j, jnp.triu(tile), tile)
+            return tiles.put(lowers, place, (i * SIDE, j * SIDE), tile.T)
+
+        return lax.fori_loop(jnp.int32(0), i + 1, column, lowers)
+
+    used = jnp.where(given, tiles.whole(count, SIDE), 0)
+    return lax.fori_loop(jnp.int32(0), used, row, lowers)
 
 
 def whiten(lower: Float[Array, "..."], place: Places, count: Index, vector: Vector) -> Vector:

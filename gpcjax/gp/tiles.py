@@ -18,6 +18,9 @@ Places = tuple[Int[Array, ""], ...]
 ROWS, COLUMNS = 8, 128
 """Numbers of a tile. Smaller roots have tiles as wide as they are (`benchmarks/README.md`)."""
 
+LANES = 16
+"""Sums in which a row's product with a vector is taken at once: two of the widest vectors (`benchmarks/README.md`)."""
+
 
 class Panel:
     """A row of tiles of the root at `place`: rows `index * ROWS` and following."""
@@ -42,6 +45,31 @@ class Panel:
         if self._lower:
             return cut(self._roots, self._where, (self.first + j, 0, 0), (1, ROWS, self.width))[0]
         return cut(self._roots, self._where, (self._index * ROWS, j * self.width), (ROWS, self.width))
+
+    def product(self, vector: Vector) -> Float[Array, " rows"]:
+        """Its rows times a vector.
+
+        Written out as sums of vectors, which are added up in the end: so XLA reads the tiles where they are. For
+        `jnp.dot` it takes a copy of each first, and twice as long.
+        """
+        width = self.width
+        lanes = LANES if width % LANES == 0 else ROWS
+
+        def add(j: Int[Array, ""], sums: Float[Array, "rows lanes"]) -> Float[Array, "rows lanes"]:
+            tile, part = self.tile(j), lax.dynamic_slice(vector, (j * width,), (width,))
+            for first in range(0, width, lanes):
+                sums += tile[:, first : first + lanes] * part[None, first : first + lanes]
+            return sums
+
+        return lax.fori_loop(0, self.tiles, add, jnp.zeros((ROWS, lanes))).sum(1)
+
+    def add(self, j: Int[Array, ""], weights: Float[Array, " rows"], total: Vector) -> Vector:
+        """`total` and, where tile `j` is, the weighted sum of its rows; written out for the same reason."""
+        tile, start = self.tile(j), (j * self.width,)
+        part = lax.dynamic_slice(total, start, (self.width,))
+        for row in range(ROWS):
+            part += weights[row] * tile[row]
+        return lax.dynamic_update_slice(total, part, start)
 
     def column(self, point: Int[Array, ""]) -> Float[Array, " rows"]:
         """Its part of column `point`, of a root that is not `lower`."""

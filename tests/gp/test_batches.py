@@ -15,14 +15,14 @@ from jax.test_util import check_grads
 from gpcjax.gp import cholesky
 from gpcjax.gp.fit import log_marginal_likelihood
 from gpcjax.gp.kernels import Kernel
-from gpcjax.gp.renormalised import _leading_sizes
+from gpcjax.gp.leading import leading_sizes
 from gpcjax.learners.factory import make_learner
 from tests.trees import assert_same_bits
 
 ROOT = Path(__file__).parents[2]
 LANES = 16
 
-CAPACITY = 768
+CAPACITY = 1536
 """Of dictionaries of which some are factorised tile by tile, and large ones by LAPACK."""
 
 
@@ -98,7 +98,7 @@ def test_no_kernel_is_given_a_batch(name, axes):
     assert kernels and all(variable.aval.ndim == 2 for each in kernels for variable in each.invars)
     if name in ("correct", "uncertainty", "scan", "hyperparameters"):
         sizes = [len(each.params["branches"]) for each in found if each.primitive.name == "cond"]
-        assert max(sizes) == len(_leading_sizes(CAPACITY, True)) > 2
+        assert max(sizes) == len(leading_sizes(CAPACITY, True)) > 2
 
 
 @pytest.mark.slow

@@ -323,7 +323,7 @@ class TestSparsification:
             state, info = learner.correct(state, at(0.25 * side), [0.0], [1])
             assert info.appended
         covariances = jax.jit(type(learner.policy).covariances)(
-            learner.policy, dimension(state.policy, 0), jnp.zeros(4)
+            learner.policy, state.policy, (jnp.int32(0),), jnp.zeros(4)
         )
         assert covariances[0] == covariances[1]
         state, info = learner.correct(state, at(0.0), [0.0], [1])
