@@ -110,15 +110,17 @@ def _uncertainty(block: Lane, moment: Moment) -> Float[Array, "action lanes"]:
         return sigma
     if together():
         return jax.vmap(
-            lambda learner, *others: learner._uncertainty(*others), in_axes=(0, 0, -1, -1), out_axes=-1
+            lambda learner, state, *others: learner._uncertainty(state, (), *others),
+            in_axes=(0, 0, -1, -1),
+            out_axes=-1,
         )(block.learner, block.state, moment.obs, moment.action)
 
     def body(lane: Int[Array, ""], sigma: Float[Array, "action lanes"]) -> Float[Array, "action lanes"]:
         value = opaque(
             lane,
-            lambda learner, state, obs, action: learner._uncertainty(state, obs, action),
+            lambda learner, states, *others: learner._uncertainty(states, (lane,), *others),
             take(block.learner, lane, 0),
-            take(block.state, lane, 0),
+            block.state,
             take(moment.obs, lane, -1),
             take(moment.action, lane, -1),
         )

@@ -205,8 +205,8 @@ class Programs:
         return jnp.clip(controller(obs), -1.0, 1.0)
 
     def _uncertain(self, states: list, own: list, lane: Array, obs: Array, action: Array) -> Array:
-        one = self.state_form.unflatten(take(states, lane, 0))
-        return self._learner_form.unflatten(own)._uncertainty(one, obs, action)
+        learner = self._learner_form.unflatten(own)
+        return learner._uncertainty(self.state_form.unflatten(states), (lane,), obs, action)
 
     def _acts_at(self, controllers: list, lane: Array, obs: Array) -> Array:
         return jax.vmap(lambda obs: self._act(controllers, lane, obs), in_axes=-1, out_axes=-1)(obs)

@@ -186,7 +186,7 @@ def points_of(block: Lane) -> tuple[Int[Array, ""], Int[Array, ""]]:
 def uncertain(block: Lane) -> Float[Array, " action"]:
     """sigma_h at the present step and what was executed there; NaN of a learner that does not know it."""
     learner, state = _alone(block)
-    return learner._uncertainty(state, block.env.obs[:, 0], block.action[:, 0])
+    return learner._uncertainty(state, (), block.env.obs[:, 0], block.action[:, 0])
 
 
 @eqx.filter_jit

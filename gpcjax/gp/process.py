@@ -159,9 +159,11 @@ class GaussianProcess(eqx.Module):
         """
         return jnp.sqrt(jnp.maximum(self.prior - explained, self.noise))
 
-    def uncertainty(self, posterior: Posterior, point: Float[Array, " d"]) -> Float[Array, ""]:
-        """Predictive standard deviation at `point`."""
-        return self.deviation(self.explained(posterior, (), self.covariances(posterior, (), point)))
+    def uncertainty(
+        self, posteriors: Posterior, place: Places, point: Float[Array, " d"]
+    ) -> Float[Array, ""]:
+        """Predictive standard deviation of the posterior at `place`, at `point`."""
+        return self.deviation(self.explained(posteriors, place, self.covariances(posteriors, place, point)))
 
     def sound(self, change: Change, scale: Float[Array, " d"]) -> Bool[Array, ""]:
         """Whether all that a change would write is a number, and no point so far away that its distances are none.

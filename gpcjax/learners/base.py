@@ -231,8 +231,16 @@ class Learner(ByIdentity):
         return self.init(seeded_key())
 
     def _uncertainty(
-        self, state: State, obs: Float[Array, " obs"], action: Float[Array, " action"]
+        self,
+        states: State,
+        place: tuple[Int[Array, ""], ...],
+        obs: Float[Array, " obs"],
+        action: Float[Array, " action"],
     ) -> Float[Array, " action"]:
+        """`uncertainty` of the state at `place`: the index of its lane, or none if `states` is one state.
+
+        States are large: it is read where it is.
+        """
         return jnp.full(self.action_size, jnp.nan)
 
     def _learn(

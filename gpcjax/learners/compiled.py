@@ -40,7 +40,7 @@ def uncertainty(
 ) -> Float[Array, " action"]:
     """sigma_h at (obs, action)."""
     _check_precision(learner, state)
-    return learner._uncertainty(state, near(obs), action)
+    return learner._uncertainty(state, (), near(obs), action)
 
 
 @Called

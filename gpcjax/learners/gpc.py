@@ -158,13 +158,12 @@ class GPC(Learner):
         policy, human = (each.points.shape[-2] for each in (state.policy, state.human))
         return dataclasses.replace(self, policy_capacity=policy, human_capacity=human).init()
 
-    def _uncertainty(self, state, obs, action):
-        def one(each: tuple[Posterior, Float[Array, ""]]) -> Float[Array, ""]:
-            human, action = each
-            return self.human.uncertainty(human, _pair(obs, action))
+    def _uncertainty(self, states, place, obs, action):
+        def one(dimension: Int[Array, ""]) -> Float[Array, ""]:
+            return self.human.uncertainty(states.human, (*place, dimension), _pair(obs, action[dimension]))
 
         # One by one: a batch would be taken apart again where the model normalises (`cholesky.one_at_a_time`).
-        return lax.map(one, (state.human, action))
+        return lax.map(one, jnp.arange(self.action_size, dtype=jnp.int32))
 
     def _write(self, states, place, change):
         return GPCState(

@@ -120,7 +120,7 @@ def _regression(
 
     def at(place: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         mean = (process.covariances(posterior, (), place[None]) * posterior.weights).sum()
-        return mean, process.uncertainty(posterior, place[None])
+        return mean, process.uncertainty(posterior, (), place[None])
 
     return *jax.vmap(at)(x), log_marginal_likelihood(kernel, noise, points[:, None], targets)
 

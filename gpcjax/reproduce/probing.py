@@ -43,7 +43,7 @@ def look(learner: GPC, state: GPCState, observations: Any) -> dict[str, Float[Ar
 
     def at(obs: Float[Array, " obs"]) -> dict[str, Float[Array, ""]]:
         action = learner.act(state, obs)
-        sigma_policy = learner.policy.uncertainty(policy, obs)
+        sigma_policy = learner.policy.uncertainty(policy, (), obs)
         sigma_human = learner.uncertainty(state, obs, action)[0]
         return {"policy": action[0], "sigma_policy": sigma_policy, "sigma_human": sigma_human}
 

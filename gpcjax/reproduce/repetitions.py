@@ -95,7 +95,7 @@ def _sigmas_of_policy(
 ) -> Float[Array, " places"]:
     policy = jax.tree.map(lambda leaf: leaf[0], state.policy)
     # One place at a time: all matrices of all places at once would take gigabytes.
-    return lax.map(lambda obs: learner.policy.uncertainty(policy, obs), observations)
+    return lax.map(lambda obs: learner.policy.uncertainty(policy, (), obs), observations)
 
 
 def _unconverged(lane: Lane) -> tuple[float, float]:

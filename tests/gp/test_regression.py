@@ -92,7 +92,7 @@ def written(posterior, posteriors, where) -> Posterior:
 @jax.jit
 def _predict(process, posterior, point):
     mean = (process.covariances(posterior, (), point) * posterior.weights).sum()
-    return mean, process.uncertainty(posterior, point)
+    return mean, process.uncertainty(posterior, (), point)
 
 
 def predict(process, posterior, probes):
@@ -237,7 +237,7 @@ def test_a_model_that_only_appends_is_the_same_while_it_appends(capacity):
     rng = np.random.default_rng(7)
     for index in range(capacity):
         point, target = rng.normal(size=3), rng.normal()
-        told = uncertainty(process, posterior, jnp.asarray(point))
+        told = uncertainty(process, posterior, (), jnp.asarray(point))
         deviation, posterior = append(process, posterior, point, target)
         np.testing.assert_allclose(deviation, _predict(full, expected, jnp.asarray(point))[1], rtol=1e-9)
         np.testing.assert_allclose(deviation, told, rtol=1e-12)
@@ -329,7 +329,7 @@ def test_one_of_many_places_touches_no_other(normalise, where):
             posterior = append(lean, posterior, point * index, 0.5)[1]
         posteriors = jax.tree.map(many, posterior)
         deviation, after = append(lean, posteriors, point, 0.5, where=place)
-        told = uncertainty(lean, posterior, jnp.asarray(point))
+        told = uncertainty(lean, posterior, (), jnp.asarray(point))
         np.testing.assert_allclose(deviation, told, rtol=1e-12)
         assert_close(taken(after, place), append(lean, posterior, point, 0.5)[1], 1e-9)
         assert_same_bits(written(posterior, after, where), posteriors)

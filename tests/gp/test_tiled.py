@@ -190,7 +190,7 @@ def uncertainty(noise):
         jnp.asarray(rng.normal(size=2)),
     )
     posterior, _ = jax.lax.scan(learned, posterior, given)
-    return process.uncertainty(posterior, jnp.zeros(3)) + posterior.weights.sum()
+    return process.uncertainty(posterior, (), jnp.zeros(3)) + posterior.weights.sum()
 
 
 @pytest.fixture(scope="module")
