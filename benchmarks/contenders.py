@@ -142,7 +142,7 @@ def _pool(cell: Any, capacity: int | None) -> Any:
     from gpcjax.sweep.build import make_pool, start_of
 
     if capacity is None:
-        return make_pool(cell)
+        return make_pool(cell, learned=False)  # as in a sweep that keeps nothing
     return Pool(
         env=make_env(cell.env),
         expert=make_expert(cell.env, cell.oracle),
