@@ -18,8 +18,8 @@ from gpcjax.gp.tiles import Vector
 FEWEST, MOST = 128, 512
 """Points that are tried first, half as many more each time, and at most. Of twice the fewest all are taken at once."""
 
-TOLERANCE = 1e-12
-"""What the points that are left out may add, over the variance of the kernel."""
+TOLERANCE = 1e-10
+"""By how much the points that are left out may change the deviation, over that of the kernel."""
 
 ROWS = 64
 """Rows of a residual that are computed at once."""
@@ -43,12 +43,13 @@ def explained(
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """k^T (K + noise I)^-1 k of the first `count` points, and whether it is: more than half of them were not tried.
 
-    `covariances` is k, zero from `count` on; n is more than `MOST`.
+    `covariances` is k, zero from `count` on; n is more than `MOST`. It is not, where k is no number.
     """
     order, room = _nearest_first(covariances), (0, -covariances.shape[0] % ROWS)
     points, covariances = points[order], jnp.pad(covariances[order], room)
     inputs = jnp.pad((points * (scale * kernel.inverse_length)[None]).T, ((0, 0), room))
-    allowed = TOLERANCE * kernel.variance * noise
+    # |r|^2 / noise of a variance that is at least the noise: half of it, over its root, of the deviation.
+    allowed = 2.0 * TOLERANCE * jnp.sqrt(kernel.variance * noise) * noise
 
     def goes_on(attempt: _Attempt) -> Bool[Array, ""]:
         few = attempt.few
@@ -59,11 +60,11 @@ def explained(
         vector = jnp.where(jnp.arange(MOST) < few, covariances[:MOST], 0.0)
         factor = tiled.factor(kernel, points[:MOST], scale, few, noise, vector)
         left = _left(kernel, inputs, count, covariances, few, factor.solved())
-        return _Attempt(few + few // 2, (factor.whitened * factor.whitened).sum(), left <= allowed)
+        return _Attempt(few + few // 2, (factor.whitened * factor.whitened).sum(), left < allowed)
 
     few = jnp.where(count <= 2 * FEWEST, count, jnp.int32(FEWEST))
     last = lax.while_loop(goes_on, go_on, _Attempt(few, jnp.zeros(()), jnp.array(False)))
-    return last.explained, last.found
+    return last.explained, last.found & jnp.isfinite(covariances.sum())
 
 
 def _nearest_first(covariances: Vector) -> Int[Array, " n"]:

@@ -23,8 +23,8 @@ def few(monkeypatch):
     monkeypatch.setattr(nearby, "ROWS", 16)
 
 
-def told(count, length_scale, seed=0, noise=NOISE):
-    """What `nearby` tells of an input, and what all points explain of it."""
+def told(count, length_scale, seed=0, noise=NOISE, covariance=None):
+    """What `nearby` tells of an input, and what all points explain of it; or of one with this covariance to all."""
     rng = np.random.default_rng(seed)
     points, point = rng.normal(size=(ROOM, 3)), rng.normal(size=3)
     points[count:] = 0.0
@@ -32,6 +32,8 @@ def told(count, length_scale, seed=0, noise=NOISE):
     scaled, hyperparameters = points[:count] * SCALE, (VARIANCE, length_scale, SQUARED_EXPONENTIAL)
     covariances = np.zeros(ROOM)
     covariances[:count] = dense.kernel(scaled, (point * SCALE)[None], *hyperparameters)[:, 0]
+    if covariance is not None:
+        covariances[:count] = covariance
     gram = dense.kernel(scaled, scaled, *hyperparameters) + noise * np.eye(count)
     expected = covariances[:count] @ np.linalg.solve(gram, covariances[:count])
     explained, found = jax.jit(nearby.explained)(
@@ -55,9 +57,16 @@ def test_all_of_few_are_taken(count):
 
 
 def test_it_is_known_when_they_are_not_enough():
-    """As with a long length-scale; and of what is no number."""
+    """As with a long length-scale; and where there is so little noise that a deviation would notice the others."""
     assert not told(97, 2.0)[1]
-    assert not told(97, np.nan)[1]
+    assert told(97, 0.15)[1] and not told(97, 0.15, noise=1e-12)[1]
+
+
+@pytest.mark.parametrize("count", [1, 16, 33, 97])
+@pytest.mark.parametrize("nothing", [np.nan, -np.nan])
+def test_what_is_no_number_is_explained_by_no_few(count, nothing):
+    """Of either sign: what 0 / 0 gives has the other one, and would be sorted behind the unused rows."""
+    assert not told(count, 0.1, covariance=nothing)[1]
 
 
 @pytest.mark.parametrize("length_scale", [0.1, 2.0])
