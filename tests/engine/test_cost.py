@@ -37,9 +37,9 @@ class CountingCOACH(Counting, COACH):
     pass
 
 
-def pool_of(learner, starts, episodes=2, tiers=TIERS):
+def pool_of(learner, starts, episodes=2, tiers=TIERS, **teaching):
     """A pool on cart-pole, and as many starts of `learner`, with seeds from 0."""
-    oracle = jax.tree.map(np.asarray, make_oracle("cartpole", "lqr").oracle)
+    oracle = jax.tree.map(np.asarray, make_oracle("cartpole", "lqr", **teaching).oracle)
     numbers = jax.tree.map(np.asarray, learner)
     begun = [Start(name=seed, learner=numbers, teacher=oracle, seed=seed) for seed in range(starts)]
     env, expert = make_env("cartpole"), make_expert("cartpole", "lqr")
@@ -125,3 +125,16 @@ def test_no_block_is_copied(used):
 @pytest.mark.slow
 def test_bytes_of_a_lane(used):
     no_lane_is_much_more_than_its_factors(used)
+
+
+def test_no_lane_is_cut_out_where_learning_is_active():
+    """Each look at sigma_h would copy all that a lane has learned, which took four times as long as all else."""
+    pool, starts = pool_of(make_learner("gpc", "cartpole", capacity=16), 1, 1, TIERS[1:], active_gain=1.0)
+    finish(pool, starts)
+    (block,) = pool._blocks
+    text, state = block._programs["advance"].as_text(), block.lanes.state
+    for matrix in (state.policy.matrix, state.human.matrix):
+        _, *one = matrix.shape
+        assert f"f64[{','.join(map(str, matrix.shape))}]" in text
+        for shape in (one, [1, *one], one[1:]):
+            assert f"f64[{','.join(map(str, shape))}]" not in text
