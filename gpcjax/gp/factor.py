@@ -202,7 +202,7 @@ def edit(
     n = reading.solved.shape[0]
     here, replaces = jnp.arange(n) == index, index < count
     column = reading.entries
-    norm, pivot = jnp.sqrt((column * column).sum()), _at(column, index)
+    norm, pivot = jnp.sqrt((column * column).sum()), tiles.take(column, (index,))
     # The sign that adds to the pivot: the reflector is then never a difference of equals.
     shift = jnp.where(pivot < 0, -norm, norm)
     reflector = jnp.where(replaces, column + jnp.where(here, shift, 0.0), 0.0)
@@ -210,7 +210,7 @@ def edit(
     scaled = reflector / jnp.where(replaces, norm * (norm + jnp.abs(pivot)), 1.0)
     image = reading.column + shift * tiles.cut(roots, place, (index, 0), (1, n))[0]
     # Without the old point, whose row of Q S is column^T / norm: what it explained, and its part in the weights.
-    part = jnp.where(replaces, _at(reading.solved, index) / norm, 0.0)
+    part = jnp.where(replaces, tiles.take(reading.solved, (index,)) / norm, 0.0)
     share = part / jnp.where(replaces, norm, 1.0)
     solved = reading.solved - jnp.where(replaces, reading.column, 0.0) * share
     _, row = new_row(solved, reading.explained - part * part, index, prior, noise)
@@ -263,11 +263,6 @@ def append(roots: Roots, place: Places, index: Int[Array, ""], row: Vector) -> R
         written = jnp.where((index < n) & (tile < panel.tiles), panel.first + tile, roots.shape[len(place)])
         return roots.at[(*place, written, index % ROWS)].set(row.reshape(-1, width), mode="drop")
     return lax.fori_loop(0, jnp.where(index < n, panel.tiles, 0), put, roots)
-
-
-def _at(vector: Vector, index: Int[Array, ""]) -> Float[Array, ""]:
-    """One of its numbers, the last one for an index beyond."""
-    return lax.dynamic_index_in_dim(vector, index, keepdims=False)
 
 
 def _whole(roots: Roots, place: Places, size: int, lower: bool) -> Square:

@@ -90,8 +90,9 @@ def leading(
             index = jnp.searchsorted(jnp.array(sizes), problem.count)
             return lax.switch(index, [at(size) for size in sizes], problem)
 
-        first = shortcut if are_tiled and capacity > nearby.MOST else None
-        return choose if first is None else _unless(first, choose)
+        if shortcut is None or not are_tiled or capacity <= nearby.MOST:
+            return choose
+        return _unless(shortcut, choose)
 
     return cholesky.one_at_a_time(by(tiled.is_fast(capacity)), derived=by(False))(problem)
 
