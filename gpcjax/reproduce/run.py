@@ -4,6 +4,7 @@ import functools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -19,15 +20,14 @@ from gpcjax.reproduce.parts import ABLATIONS, DEPENDENCE, PARTS, ROWS, check
 from gpcjax.reproduce.records import Illustrations
 from gpcjax.reproduce.results import Experiment, joined, read
 from gpcjax.reproduce.verdicts import Claim, counted
-from gpcjax.sweep.beginning import begun
 from gpcjax.sweep.estimate import seconds_left
-from gpcjax.sweep.executors import Processes, run_alone
+from gpcjax.sweep.executors import Errands, Processes
 from gpcjax.sweep.given import Given
 from gpcjax.sweep.manifest import is_complete
 from gpcjax.sweep.plan import count, plan, program_of
-from gpcjax.sweep.run import run
 from gpcjax.sweep.runfolder import check_sweep, make_writable
 from gpcjax.sweep.schedule import offered_rates
+from gpcjax.sweep.several import run_several
 from gpcjax.sweep.spec import SweepSpec, make_spec, read_toml
 from gpcjax.sweep.works import works_of
 
@@ -55,20 +55,28 @@ def reproduce(sweeps: Path, out: Path, only: Sequence[str], quick: bool, jobs: i
     experiments = check(sweeps, out, only, quick)
     make_writable(out)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    place = 0
+    errands: list[tuple[str, tuple[Any, ...]]] = []
+    if "illustrations" in only and records.stored(out / ILLUSTRATIONS) is None:
+        console.print(PARTS["illustrations"].title, style="bold")
+        console.print("illustrations: computed once, about a minute")
+        errands.append(("gpcjax.reproduce.illustrations:compute", (out / ILLUSTRATIONS,)))
+    place, left = 0, {name: part for part in only for name in PARTS[part].experiments}
     with Processes(jobs) as executor:  # they import once, and keep what they have compiled
-        for part in only:
-            console.print(PARTS[part].title, style="bold")
-            if part == "illustrations" and records.stored(out / ILLUSTRATIONS) is None:
-                console.print("illustrations: computed once, about a minute")
-                run_alone("gpcjax.reproduce.illustrations", str(out / ILLUSTRATIONS))
-            for name in PARTS[part].experiments:
+        while left or errands:
+            asked: list[tuple[SweepSpec, Path]] = []
+            heading = None
+            for name, part in (_ready(sweeps, left, quick) or dict(left)).items():
+                if part != heading:
+                    heading = part
+                    console.print(PARTS[part].title, style="bold")
                 spec = _spec(sweeps / f"{name}.toml", out, quick)
                 check_sweep(out / name, spec, grows=False)
                 place += 1
                 console.print(f"{name}, {place} of {experiments}: {_cost(spec, out / name, jobs)}")
-                with begun(out / name):
-                    run(spec, out / name, jobs, executor, grows=False)
+                asked.append((spec, out / name))
+                del left[name]
+            run_several("reproduction", asked, executor, Errands(errands))
+            errands = []
     report, tested = _drawn(out, quick)
     console.print(counted([claim for each in tested.values() for claim in each]))
     return report
@@ -112,6 +120,16 @@ def _cost(spec: SweepSpec, out: Path, jobs: int) -> str:
     seconds = seconds_left(list(works_of(sizes).values()), jobs)
     about = f"{max(10, 10 * round(seconds / 10))} s" if seconds < 90 else f"{round(seconds / 60)} min"
     return f"{size}, about {about} where nothing is done yet"
+
+
+def _ready(sweeps: Path, left: Mapping[str, str], quick: bool) -> dict[str, str]:
+    """Of the experiments that are left those that take no rates from another one of them, and their parts."""
+    given = {name: read_toml(sweeps / f"{name}.toml", quick).get("rate_from") for name in left}
+    return {
+        name: part
+        for name, part in left.items()
+        if (source := given[name]) is None or Path(source.value).name not in left
+    }
 
 
 def _spec(path: Path, out: Path, quick: bool) -> SweepSpec:

@@ -1,7 +1,8 @@
 """A sweep while it runs: rows on their way to the store, and the manifest that grows with them. Loads no jax."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from gpcjax.sweep import experience, stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import Places, remove, remove_all
 from gpcjax.sweep.environment import cache_folder
-from gpcjax.sweep.executors import Desk, Executor, Orders, Totals
+from gpcjax.sweep.executors import Desk, Orders, Totals
 from gpcjax.sweep.layout import tell
 from gpcjax.sweep.manifest import write_manifest
 from gpcjax.sweep.notebook import usual_watcher
@@ -36,7 +37,7 @@ class Going:
         manifest: of the folder; what becomes of the sweep is written into it.
         store: of the folder.
         missing: the cells that are to run.
-        executor: runs the workers.
+        jobs: workers there may be.
         orders: what these do beside.
         places: where runs can go on.
         watcher: shows how far it is; None for the usual one.
@@ -49,7 +50,7 @@ class Going:
         manifest: dict[str, Any],
         store: Store,
         missing: list[Cell],
-        executor: Executor,
+        jobs: int,
         orders: Orders,
         places: Places,
         watcher: Callable[..., Watcher] | None,
@@ -60,12 +61,12 @@ class Going:
         self._began = self._flushed = time.monotonic()
         self._rows: list[CellRows | Block] = []
         self._totals = Totals()
-        self._finished, self._executor = 0, executor
+        self._finished, self._jobs, self._over = 0, jobs, False
         self._sofar = SoFar(missing, manifest["varying"])
-        self._desk = Desk(
+        self.desk = Desk(
             missing,
             baselines=[(spec.env, name) for name in missing_baselines(manifest, spec)],
-            jobs=executor.jobs,
+            jobs=jobs,
             on_rows=self._collect,
             on_baseline=self._keep_baseline,
             on_progress=self._show,
@@ -77,28 +78,46 @@ class Going:
             on_over=self._forget_checkpoint,
             places=places,
         )
-        works = tuple(self._desk.works.values())
-        self._bar = (watcher or usual_watcher())(spec.env, len(missing), self._desk.workers, works=works)
+        works = tuple(self.desk.works.values())
+        self._bar = (watcher or usual_watcher())(spec.env, len(missing), self.desk.workers, works=works)
 
-    def run(self) -> None:
-        """Until nothing is missing."""
-        self._manifest["jobs"] = self._executor.jobs
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """While workers are at its desk. Signals are deferred; what came is kept, however this ends."""
+        self._manifest["jobs"] = self._jobs
         self._save(complete=False)
-        with stopping.deferred():
-            with self._bar:
-                try:
-                    self._executor.run(self._desk)
-                    self._desk.refuse_less()
-                finally:
-                    self._flush()
-                    took = {program: work.took for program, work in self._desk.works.items()}
-                    known = {program: cost for program, cost in took.items() if cost is not None}
-                    experience.learn(known, cache_folder(), self._desk.started)
-            forget_idle_machines(self._manifest, self._store.machines)
-            # What was asked for before may have been interrupted, and is not asked for now.
-            self._save(complete=self._store.cells >= self._manifest["cells"])
-            if self._manifest["complete"]:
-                remove_all(self._out)
+        with stopping.deferred(), self._bar:
+            try:
+                yield
+            finally:
+                if not self._over:
+                    self._keep()
+
+    def begin(self) -> None:
+        """Workers turn to it only now: what was before is none of its time."""
+        self._began = time.monotonic()
+
+    def finish(self) -> None:
+        """All has come.
+
+        Raises:
+            Failure: it has not.
+        """
+        self.desk.refuse_less()
+        self._keep()
+        self._over = True
+        forget_idle_machines(self._manifest, self._store.machines)
+        # What was asked for before may have been interrupted, and is not asked for now.
+        self._save(complete=self._store.cells >= self._manifest["cells"])
+        if self._manifest["complete"]:
+            remove_all(self._out)
+
+    def _keep(self) -> None:
+        """What came, and what it took."""
+        self._flush()
+        took = {program: work.took for program, work in self.desk.works.items()}
+        known = {program: cost for program, cost in took.items() if cost is not None}
+        experience.learn(known, cache_folder(), self.desk.started)
 
     def _collect(self, rows: CellRows | Block) -> None:
         self._rows.append(rows)

@@ -1,7 +1,8 @@
 """One sweep from its specification to a complete store. The parent process loads no jax."""
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -100,10 +101,39 @@ def run(
 ) -> bool:
     """Runs the cells of `spec` that `out` does not hold yet. Rows are flushed every few seconds, and on Ctrl-C.
 
-    With a `shard`, of these the cells of that share, into its own folder.
+    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy. The
+    other arguments are those of `opened`, which says what it raises.
 
-    Gives whether there was anything to do. `meanwhile` is called in a thread of its own once the workers are busy;
-    `say` takes a line for the person where the folder grows.
+    Raises:
+        Failure: a worker failed; what was finished is kept.
+    """
+    executor = executor or Processes(jobs)
+    with opened(spec, out, executor.jobs, grows, keeping, checkpoint, watcher, shard, say) as going:
+        if going is None:
+            return False
+        threading.Thread(target=meanwhile, daemon=True).start()
+        with going.under_way():
+            executor.run(going.desk)
+            going.finish()
+        return True
+
+
+@contextmanager
+def opened(
+    spec: SweepSpec,
+    out: Path,
+    jobs: int,
+    grows: bool = True,
+    keeping: Keeping | None = None,
+    checkpoint: float = OPTIONS["checkpoint"].default,
+    watcher: Callable[..., Watcher] | None = None,
+    shard: Shard | None = None,
+    say: Callable[[str], None] = tell,
+) -> Iterator[Going | None]:
+    """The sweep of the cells of `spec` that `out` does not hold yet, for the block; None where it holds all.
+
+    With a `shard`, of these the cells of that share, into its own folder. `say` takes a line for the person where the
+    folder grows.
 
     A folder that holds less than `spec` asks for `grows`, or is refused. Of each run that is kept what `keeping` says;
     runs that are under way are saved every `checkpoint` seconds, and go on from there after a kill.
@@ -114,7 +144,6 @@ def run(
     Raises:
         UserError: `out` holds something else, another process writes there, or it was begun with other versions of
             what computes, whose rows would differ in the last bits.
-        Failure: a worker failed; what was finished is kept.
     """
     with held(out):
         check_folder(out, spec, keeping, shard, grows)  # again: somebody may have been faster
@@ -133,31 +162,28 @@ def run(
             say(
                 f"{out}: its manifest does not say what of its runs is kept: those that are there stay as they are"
             )
-        if missing or not manifest["complete"]:
-            refuse_other(out, manifest, keeping)
-            refuse_other_versions(out, manifest)
-            note_machine(out, manifest, here)
-            note(out, manifest, specs, missing, missing_baselines(manifest, spec), say)
-            agree = told(manifest["versions"], machine.kind_of(here), keeping, manifest.get(DIGESTS, {}))
-            orders = Orders(
-                keeping=keeping,
-                checkpoints=str((out / CHECKPOINTS).absolute()),
-                seconds=checkpoint,
-                agree=agree,
-                varying=tuple(manifest["varying"]),
-            )
-            places = survey(out, lambda cell: not store.holds(cell), agree, tell)
-            executor = executor or Processes(jobs)
-            sweep = Going(spec, out, manifest, store, missing, executor, orders, places, watcher)
-            threading.Thread(target=meanwhile, daemon=True).start()
-            sweep.run()
-            return True
-        note(out, manifest, specs, [], [], say)
-        if store.cells < manifest["cells"]:  # rows of another request, that are damaged or gone
-            write_manifest(out, manifest | {"complete": False, "finished": store.cells})
-            return False
-        remove_all(out)  # of a run that was killed when all was there
-        return False
+        if not missing and manifest["complete"]:
+            note(out, manifest, specs, [], [], say)
+            if store.cells < manifest["cells"]:  # rows of another request, that are damaged or gone
+                write_manifest(out, manifest | {"complete": False, "finished": store.cells})
+            else:
+                remove_all(out)  # of a run that was killed when all was there
+            yield None
+            return
+        refuse_other(out, manifest, keeping)
+        refuse_other_versions(out, manifest)
+        note_machine(out, manifest, here)
+        note(out, manifest, specs, missing, missing_baselines(manifest, spec), say)
+        agree = told(manifest["versions"], machine.kind_of(here), keeping, manifest.get(DIGESTS, {}))
+        orders = Orders(
+            keeping=keeping,
+            checkpoints=str((out / CHECKPOINTS).absolute()),
+            seconds=checkpoint,
+            agree=agree,
+            varying=tuple(manifest["varying"]),
+        )
+        places = survey(out, lambda cell: not store.holds(cell), agree, tell)
+        yield Going(spec, out, manifest, store, missing, jobs, orders, places, watcher)
 
 
 def _requested(manifest: Mapping[str, Any]) -> list[SweepSpec]:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from gpcjax.registry import find
 from gpcjax.sweep.estimate import least_to_join
@@ -69,13 +69,18 @@ class Sharing:
         """The program that this worker has."""
         return self._at.get(worker)
 
-    def next_program(self, worker: int) -> Cell | None:
-        """A cell of the program that this worker turns to, as an example; None if there is nothing for it."""
+    def next_program(self, worker: int, elsewhere: Collection[Program] | None = None) -> Cell | None:
+        """A cell of the program that this worker turns to, as an example; None if there is nothing for it.
+
+        With `elsewhere`, programs that workers have for the cells of others, it is one that nobody has, here or there.
+        """
         self.leave(worker)
         taken = set(self._at.values())
         free = [key for key, cells in self._left.items() if cells and key not in taken]
+        if elsewhere is not None:
+            free = [key for key in free if key not in elsewhere]
         shared = [key for key, cells in self._left.items() if len(cells) >= least_to_join(self.works[key])]
-        if not free and not shared:
+        if not free and (elsewhere is not None or not shared):
             return None
         program = free[0] if free else max(shared, key=lambda key: len(self._left[key]))
         self._turn(worker, program)

@@ -24,6 +24,7 @@ from gpcjax.engine.pool import Pool
 from gpcjax.envs.base import Env
 from gpcjax.envs.registry import make_env, make_expert
 from gpcjax.errors import ForeignError, UserError
+from gpcjax.registry import resolve
 from gpcjax.sweep.build import make_pool
 from gpcjax.sweep.digests import ENTRY as DIGESTS
 from gpcjax.sweep.digests import Loaded
@@ -87,6 +88,10 @@ class _Worker:
                     give_back_memory()
                 case ("baseline", str() as env, str() as name):
                     self._say(("baseline", name, baseline(env, name, self._programs)))
+                case ("errand", str() as function, tuple() as words):
+                    resolve(function)(*words)
+                    give_back_memory()
+                    self._say(("errand", function))
                 case ("again",):
                     self._done = Totals()
                 case _:

@@ -23,7 +23,7 @@ from gpcjax.sweep.reading import read_episodes
 from gpcjax.sweep.schedule import offered_rates
 from gpcjax.sweep.spec import make_spec, read_toml
 from tests.reproduce.illustrated import illustrations
-from tests.sweep.pretended import hand_out, rows
+from tests.sweep.pretended import rows
 
 SWEPT = tuple(part for part in PARTS if PARTS[part].experiments)
 BASELINES = {"idle": 0.0}
@@ -46,6 +46,7 @@ class Pretended:
 
     def __init__(self):
         self.cells, self.stop_after = [], None
+        self.called, self.fails = [], False
 
     def __call__(self, jobs):
         self.jobs = jobs
@@ -57,16 +58,28 @@ class Pretended:
     def __exit__(self, *error):
         pass
 
-    def run(self, desk):
-        on_rows, on_baseline, on_progress = hand_out(desk)
-        for _, name in desk.baselines:
-            on_baseline(name, {"mean": BASELINES.get(name, 100.0), "std": 1.0, "n": 100})
-        for cell in desk.cells:
-            if len(self.cells) == self.stop_after:
-                raise KeyboardInterrupt
-            self.cells.append(cell)
-            on_rows(taught(cell))
-        on_progress(Totals(env_steps=10, episodes=3, compile_seconds=1.0))
+    def run(self, office):
+        """As one worker, which has all that it may and then hands it in."""
+        while (answer := office.answer(0, ("ready",))) != ("stop",):
+            match answer:
+                case ("errand", function, words):
+                    self.called.append((function, *words))
+                    if self.fails:
+                        office.answer(0, ("failed", "MemoryError", ""))
+                case ("baseline", _, name):
+                    numbers = {"mean": BASELINES.get(name, 100.0), "std": 1.0, "n": 100}
+                    office.answer(0, ("baseline", name, numbers))
+                case ("program", *_):
+                    while cells := office.answer(0, ("next",))[1]:
+                        for cell in cells:
+                            self._teach(office, cell)
+                    office.answer(0, ("progress", Totals(env_steps=10, episodes=3, compile_seconds=1.0)))
+
+    def _teach(self, office, cell):
+        if len(self.cells) == self.stop_after:
+            raise KeyboardInterrupt
+        self.cells.append(cell)
+        office.answer(0, ("rows", taught(cell)))
 
 
 def taught(cell):
@@ -275,25 +288,20 @@ def test_parts_are_chosen_in_their_own_order():
     assert chosen("lander, pendulum,lander") == ("pendulum", "lander")
 
 
-def failed(*words):
-    raise Failure("illustrations ended with status 1")
-
-
-def test_illustrations_are_computed_once(tmp_path, monkeypatch, sweeps, undrawn):
-    called = []
-    monkeypatch.setattr(reproduce_module, "run_alone", lambda *words: called.append(words))
+def test_illustrations_are_computed_once(tmp_path, pretended, sweeps, undrawn):
+    called = pretended.called
     path = tmp_path / "out" / "illustrations.npz"
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
-    assert called == [("gpcjax.reproduce.illustrations", str(path))]
+    assert called == [("gpcjax.reproduce.illustrations:compute", path)]
     path.touch()  # as an interrupted one, or one of another version: no illustrations of ours
-    reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
-    assert len(called) == 2
+    reproduce(sweeps, tmp_path / "out", ("illustrations", "pendulum"), quick=True, jobs=1)
+    assert len(called) == 2 and len(pretended.cells) == 27
     records.write(path, illustrations())
     reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
     assert len(called) == 2
     path.unlink()
-    monkeypatch.setattr(reproduce_module, "run_alone", failed)
-    with pytest.raises(Failure, match="illustrations ended with status 1"):
+    pretended.fails = True
+    with pytest.raises(Failure, match="a worker process failed: MemoryError"):
         reproduce(sweeps, tmp_path / "out", ("illustrations",), quick=True, jobs=1)
 
 

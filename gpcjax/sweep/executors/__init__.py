@@ -7,6 +7,7 @@ from gpcjax.errors import UserError
 from gpcjax.sweep.executors.base import Executor, Orders, Totals
 from gpcjax.sweep.executors.desk import Desk
 from gpcjax.sweep.executors.inprocess import InProcess
+from gpcjax.sweep.executors.office import Errands, Office
 from gpcjax.sweep.executors.processes import Processes
 from gpcjax.sweep.executors.ray import Ray
 from gpcjax.sweep.executors.starting import run_alone
@@ -33,8 +34,10 @@ def executor_of(
 
 __all__ = [
     "Desk",
+    "Errands",
     "Executor",
     "InProcess",
+    "Office",
     "Orders",
     "Processes",
     "Ray",

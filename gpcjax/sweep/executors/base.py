@@ -7,7 +7,8 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
                                  took so long to import what it needs, so much of a core for it, and so much for a
                                  `piece_of_work`: only of a process of its own, once
     ("ready",)                   has nothing to do; answer: ("program", Cell, Orders), ("baseline", env, name),
-                                 ("stop",), or of an executor ("again",): this is another sweep, say it again
+                                 ("errand", function, words), ("stop",), or ("again",): this is another sweep, say it
+                                 again
     ("next",)                    wants cells of its program; answer: ("cells", list of Cell), empty at the end, and a
                                  third entry {Cell: Place} where runs of these can go on
     ("machine", description)     computes on this machine (`gpcjax.sweep.machine.describe`): first of all, and only
@@ -15,6 +16,7 @@ An executor runs `gpcjax.sweep.worker.work(say)` for each worker, somewhere, and
     ("rows", CellRows | Block)   has finished a cell, or some
     ("over", name)               of all runs in the checkpoint of this name the rows were said
     ("baseline", name, numbers)  has measured an idle policy or an expert
+    ("errand", function)         has called this function
     ("progress", Totals)         has done so much so far; some times a second
     ("compiling", whether)       XLA begins with a program, or has it
     ("note", line)               has something to tell the person
@@ -90,6 +92,23 @@ class Orders:
 
 NO_ORDERS = Orders()
 """Nothing but the rows."""
+
+
+class Counter(Protocol):
+    """Where workers ask: the desk of a sweep, or what stands before several of them."""
+
+    @property
+    def workers(self) -> int:
+        """How many there is work for."""
+        ...
+
+    def answer(self, worker: int, message: Message) -> Message | None:
+        """The answer to what this worker says; None where it asks nothing."""
+        ...
+
+    def look(self) -> None:
+        """Nothing comes, time goes on: tell of the progress."""
+        ...
 
 
 @runtime_checkable

@@ -4,7 +4,7 @@ import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 from gpcjax.errors import Failure, ForeignError, UserError
@@ -122,6 +122,27 @@ class Desk:
             stopping.check()
             return self._answer(worker, message)
 
+    def turn(self, worker: int, elsewhere: Collection[Program] | None = None) -> Message:
+        """The answer to a worker that is ready.
+
+        With `elsewhere`, programs that workers have at other desks, it gets none that anybody has, here or there: who
+        compiles one would be waited for.
+
+        Raises:
+            Stopped: a signal came in, within `stopping.deferred`.
+        """
+        with self._lock:
+            stopping.check()
+            return self._next_program(worker, elsewhere)
+
+    def are_there(self) -> None:
+        """Workers are there, though none of them has said so here."""
+        self._is_there = True
+
+    def at(self, worker: int) -> Program | None:
+        """The program that this worker has."""
+        return self._sharing.at(worker)
+
     def look(self) -> None:
         """Nothing comes, time goes on: tell of the progress.
 
@@ -202,11 +223,11 @@ class Desk:
                 raise ForeignError(*arguments)
         return None
 
-    def _next_program(self, worker: int) -> Message:
+    def _next_program(self, worker: int, elsewhere: Collection[Program] | None = None) -> Message:
         heard, measures = self._heard[worker], worker == self.workers - 1
         self._is_there = True
         self._sharing.leave(worker)
-        cell = None if self._measure and measures else self._sharing.next_program(worker)
+        cell = None if self._measure and measures else self._sharing.next_program(worker, elsewhere)
         if cell is not None:
             heard.since = time.monotonic()
             return ("program", cell, self.orders)

@@ -13,8 +13,7 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.environment import forget_programs, script, worker_environment
 from gpcjax.sweep.executors import served
-from gpcjax.sweep.executors.base import ASKS, Message
-from gpcjax.sweep.executors.desk import Desk
+from gpcjax.sweep.executors.base import ASKS, Counter, Message
 from gpcjax.sweep.executors.starting import LAST_WORDS, await_signal, not_started, reason
 
 MACHINE_CODE = tuple(
@@ -97,7 +96,7 @@ class Processes:
             worker.end()
         self._workers = []
 
-    def run(self, desk: Desk) -> None:
+    def run(self, desk: Counter) -> None:
         """Returns when all is done. Workers never outlive this call, or its context.
 
         Raises:
@@ -115,7 +114,7 @@ class Processes:
         if not self._stay:
             self._end()
 
-    def _serve_all(self, desk: Desk, workers: Sequence[_Worker]) -> None:
+    def _serve_all(self, desk: Counter, workers: Sequence[_Worker]) -> None:
         """Answers messages until no worker has more to do."""
         for worker in workers:
             if worker.waits:
@@ -138,7 +137,7 @@ class Processes:
                     del working[connection]
 
 
-def _serve(worker: _Worker, desk: Desk, stay: bool) -> bool:
+def _serve(worker: _Worker, desk: Counter, stay: bool) -> bool:
     """Answers one message; False if the worker has no more to do, and waits for the answer if it is to stay."""
     message = worker.receive()
     answer = desk.answer(worker.number, message)
