@@ -11,7 +11,7 @@ from gpcjax.sweep import stopping
 from gpcjax.sweep.crowd import AT_START, USUAL_PIECE
 from gpcjax.sweep.estimate import least_to_join
 from gpcjax.sweep.executors import Desk, Totals
-from gpcjax.sweep.executors import desk as desk_module
+from gpcjax.sweep.executors import times
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing
@@ -180,7 +180,7 @@ class TestDesk:
     def test_how_long_workers_take_to_be_there_is_told_by_those_that_begin(self, monkeypatch):
         """And by no other: one that is lost and comes back hours later says nothing of it, nor one that stayed."""
         now = [1000.0]
-        monkeypatch.setattr("gpcjax.sweep.executors.desk.time.monotonic", lambda: now[0])
+        monkeypatch.setattr("gpcjax.sweep.executors.times.time.monotonic", lambda: now[0])
         it = Desk(cells(seeds=2), [], 2, lambda _: None, lambda *_: None, lambda _: None, starts=2.0)
         work = next(iter(it.works.values()))
         assert work.ready_in == 2.0 and it.started is None
@@ -245,7 +245,7 @@ class TestDesk:
 
     def test_a_worker_that_speaks_does_not_compile(self, monkeypatch):
         now = [100.0]
-        monkeypatch.setattr(desk_module.time, "monotonic", lambda: now[0])
+        monkeypatch.setattr(times.time, "monotonic", lambda: now[0])
         it, _, _, told = desk(jobs=1)
         it.answer(0, ("ready",))
         it.answer(0, ("compiling", True))  # a program that was kept: no word comes that it is there

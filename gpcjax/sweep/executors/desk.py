@@ -2,7 +2,6 @@
 
 import dataclasses
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
@@ -11,33 +10,19 @@ from gpcjax.errors import Failure, ForeignError, UserError
 from gpcjax.sweep import stopping
 from gpcjax.sweep.blocks import Block
 from gpcjax.sweep.checkpoints import HERE, Place
-from gpcjax.sweep.crowd import Crowd
-from gpcjax.sweep.estimate import overdue
 from gpcjax.sweep.executors.base import NO_ORDERS, Message, Orders, Totals
+from gpcjax.sweep.executors.times import Times
 from gpcjax.sweep.machine import kind_of
 from gpcjax.sweep.plan import Cell, Program, program_of
 from gpcjax.sweep.rows import CellRows
 from gpcjax.sweep.sharing import Before, Sharing
 from gpcjax.sweep.works import Work
 
-COMPILES_FROM = 0.5
-"""Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
-
-NOTE_SECONDS = 0.2
-"""Between two looks at how much of a core workers have."""
-
 
 @dataclasses.dataclass
-class _Heard:
+class _Known:
     """What is known of a worker."""
 
-    progress: Totals = dataclasses.field(default_factory=Totals)
-    """What it has done, as far as it has told."""
-    since: float = 0.0
-    """When its time was last put down to its program."""
-    told: float | None = None
-    """When it last said what it has done."""
-    compiling_since: float | None = None
     baseline: tuple[str, str] | None = None
     """What it measures now."""
     machine: str = HERE
@@ -88,15 +73,9 @@ class Desk:
         self._on_note, self._on_machine, self._on_over = on_note, on_machine, on_over
         self.orders = orders
         self._places = {kind: dict(theirs) for kind, theirs in places.items()}
-        self._heard = [_Heard() for _ in range(self.workers)]
-        self._done = Totals()
-        """What all workers have done, those that are gone too; kept up as they tell, however many they are."""
+        self._known = [_Known() for _ in range(self.workers)]
         self._copies = False
-        self._began, self._starts, self._is_there = time.monotonic(), starts, False
-        self.started: float | None = None
-        """Seconds of a core until a worker was there, of those that were started for this sweep."""
-        self._crowd, self._noted = Crowd(), 0.0
-        self._note_times()
+        self._times = Times(self._sharing, self.workers, starts)
         self._lock = threading.Lock()
 
     @property
@@ -122,6 +101,11 @@ class Desk:
             stopping.check()
             return self._answer(worker, message)
 
+    @property
+    def started(self) -> float | None:
+        """Seconds of a core until a worker was there, of those that were started for this sweep."""
+        return self._times.started
+
     def turn(self, worker: int, elsewhere: Collection[Program] | None = None) -> Message:
         """The answer to a worker that is ready.
 
@@ -137,7 +121,7 @@ class Desk:
 
     def are_there(self) -> None:
         """Workers are there, though none of them has said so here."""
-        self._is_there = True
+        self._times.are_there()
 
     def at(self, worker: int) -> Program | None:
         """The program that this worker has."""
@@ -151,7 +135,7 @@ class Desk:
         """
         with self._lock:
             stopping.check()
-            self._on_progress(self._totals())
+            self._on_progress(self._times.totals())
 
     def give_copies(self) -> None:
         """From now on workers that have nothing left run what others have had for longest: for machines that differ."""
@@ -169,12 +153,13 @@ class Desk:
         should be run in its place, under the same number. `places` are where its runs can go on, on such a machine.
         """
         with self._lock:
-            heard, self._heard[worker] = self._heard[worker], _Heard()
+            known, self._known[worker] = self._known[worker], _Known()
+            self._times.lose(worker)
             lost = self._sharing.lose(worker)
-            alike = self._places.setdefault(heard.machine, {})
+            alike = self._places.setdefault(known.machine, {})
             alike |= {cell: places[cell] for cell in lost if cell in places}
-            if heard.baseline is not None:
-                self._measure.appendleft(heard.baseline)
+            if known.baseline is not None:
+                self._measure.appendleft(known.baseline)
 
     def refuse_less(self) -> None:
         """Raise `Failure` unless all rows and baselines have come: an executor ended too early."""
@@ -184,35 +169,34 @@ class Desk:
 
     def _measuring(self) -> int:
         """Baselines that have not come."""
-        return len(self._measure) + sum(heard.baseline is not None for heard in self._heard)
+        return len(self._measure) + sum(known.baseline is not None for known in self._known)
 
     def _answer(self, worker: int, message: Message) -> Message | None:
         match message:
             case ("begun", float() as seconds, float() as processor, float() as piece):
-                self._crowd.begin(seconds, processor, piece)
-                self.started = max(self.started or 0.0, processor)
+                self._times.begin(seconds, processor, piece)
             case ("ready",):
                 return self._next_program(worker)
             case ("next",):
                 cells = self._sharing.next_cells(worker)
-                alike = self._places.get(self._heard[worker].machine, {})
+                alike = self._places.get(self._known[worker].machine, {})
                 places = {cell: alike[cell] for cell in cells if cell in alike}
                 return ("cells", cells, places) if places else ("cells", cells)
             case ("rows", CellRows() | Block() as rows):
-                self._take(worker, rows, self._heard[worker].machine)
+                self._take(worker, rows, self._known[worker].machine)
             case ("over", str() as name):
                 self._on_over(name)
             case ("machine", dict() as described):
-                self._heard[worker].machine = kind_of(described)
+                self._known[worker].machine = kind_of(described)
                 self._on_machine(described)
             case ("baseline", name, numbers):
-                self._heard[worker].baseline = None
+                self._known[worker].baseline = None
                 self._on_baseline(name, numbers)
             case ("progress", Totals() as progress):
-                self._reckon(worker, progress)
-                self._on_progress(self._totals())
+                self._times.take(worker, progress)
+                self._on_progress(self._times.totals())
             case ("compiling", bool() as compiling):
-                self._heard[worker].compiling_since = time.monotonic() if compiling else None
+                self._times.compiling(worker, compiling)
             case ("note", str() as line):
                 self._on_note(line)
             case ("failed", line, details):
@@ -224,19 +208,19 @@ class Desk:
         return None
 
     def _next_program(self, worker: int, elsewhere: Collection[Program] | None = None) -> Message:
-        heard, measures = self._heard[worker], worker == self.workers - 1
-        self._is_there = True
+        known, measures = self._known[worker], worker == self.workers - 1
+        self._times.are_there()
         self._sharing.leave(worker)
         cell = None if self._measure and measures else self._sharing.next_program(worker, elsewhere)
         if cell is not None:
-            heard.since = time.monotonic()
+            self._times.turn(worker)
             return ("program", cell, self.orders)
         if self._measure:  # the last worker does it first of all, another one when it has nothing else
-            heard.baseline = self._measure.popleft()
-            return ("baseline", *heard.baseline)
+            known.baseline = self._measure.popleft()
+            return ("baseline", *known.baseline)
         copy = self._sharing.next_copy(worker) if self._copies else None
         if copy is not None:
-            heard.since = time.monotonic()
+            self._times.turn(worker)
             return ("program", copy, self.orders)
         return ("stop",)
 
@@ -265,54 +249,3 @@ class Desk:
         if len(new) == len(rows.cells):
             return rows
         return rows.chosen(new) if new and isinstance(rows, Block) else None
-
-    def _reckon(self, worker: int, progress: Totals) -> None:
-        """Put what a worker has done since it was last heard, and the time, down to its program."""
-        heard, now = self._heard[worker], time.monotonic()
-        before, heard.progress = heard.progress, progress
-        told, heard.told = heard.told, now
-        heard.compiling_since = None  # it would not speak
-        more = progress.plus(before, -1)
-        self._done = self._done.plus(more)
-        program = self._sharing.at(worker)
-        if program is None:
-            return
-        work = self._sharing.works[program]
-        work.add(more.env_steps, more.episodes, more.compile_seconds)
-        work.kept += more.kept
-        if more.env_steps:
-            self._sharing.steps(worker)
-        work.paces.take(worker, progress.paces)
-        work.seconds += max(now - heard.since - more.compile_seconds, 0.0)
-        heard.since = now
-        if told is not None and progress.processor_seconds:
-            seconds, processor = now - told, progress.processor_seconds - before.processor_seconds
-            work.heard_seconds += seconds
-            work.processor_seconds += processor
-            self._crowd.take(seconds, processor)
-
-    def _note_times(self) -> None:
-        """Tells the programs what is known of all of them; not each time, as workers may be thousands."""
-        now = time.monotonic()
-        if now - self._noted < NOTE_SECONDS:
-            return
-        self._noted, slowness = now, self._crowd.slowness
-        ready_in = 0.0 if self._is_there else overdue(slowness * self._starts, now - self._began)
-        for work in self._sharing.works.values():
-            work.slowness, work.machine = slowness, self._crowd.machine
-            work.ready_in, work.compiling_for = ready_in, 0.0
-        for worker, heard in enumerate(self._heard):
-            program = self._sharing.at(worker)
-            if program is not None and heard.compiling_since is not None:
-                work = self._sharing.works[program]
-                work.compiling_for = max(work.compiling_for, now - heard.compiling_since)
-
-    def _totals(self) -> Totals:
-        self._note_times()
-        long_ago = time.monotonic() - COMPILES_FROM
-        compiling = (heard.compiling_since for heard in self._heard)
-        return dataclasses.replace(
-            self._done,
-            works=tuple(self._sharing.works.values()),
-            compiling=any(since is not None and since < long_ago for since in compiling),
-        )
