@@ -18,6 +18,7 @@ from gpcjax.report.compare_match import Folder, Match, Pair, checked_by, match, 
 from gpcjax.report.compare_notes import differing
 from gpcjax.report.compare_numbers import Difference, Profile, differences, profiles
 from gpcjax.report.figures import compare_figure, style
+from gpcjax.report.figures.painted import painted
 from gpcjax.report.files import write_files
 from gpcjax.report.groups import unique
 from gpcjax.report.statistics import Interval
@@ -142,12 +143,13 @@ class Comparison:
         folder = checked_path("out", out)
         with begun(folder, ()):
             drawing = compare_figure.drawn(self)
-            page = compare_page.document(self, [style.pictured(drawing)])
+            (image,) = painted([drawing.figure])
+            page = compare_page.document(self, [style.pictured(drawing, svg=image.svg)])
             files: dict[str, str | bytes] = {
                 "comparison.csv": self.differences_table.to_csv(index=False),
                 "profiles.csv": self.profiles_table.to_csv(index=False),
                 "alone.csv": self.alone_table.to_csv(index=False),
-                **{f"comparison.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")},
+                **{f"comparison.{kind}": content for kind, content in image.files.items()},
                 "comparison.html": html.render(page),
             }
             return write_files(folder, files, _MEND)

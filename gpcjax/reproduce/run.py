@@ -11,6 +11,7 @@ from rich.console import Console
 from gpcjax.report import html, markdown
 from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import style
+from gpcjax.report.figures.painted import painted
 from gpcjax.report.figures.style import Drawing
 from gpcjax.report.files import write_files
 from gpcjax.report.tables import result_sheets
@@ -92,11 +93,12 @@ def _drawn(out: Path, quick: bool) -> tuple[Path, dict[str, list[Claim]]]:
     shown = records.stored(out / ILLUSTRATIONS)
     tested, drawn = claims(results, shown), _figures(results, shown)
     pictures: dict[str, list[Picture]] = {}
-    for (part, name), drawing in drawn.items():
-        pictures.setdefault(part, []).append(style.pictured(drawing, f"figures/{name}.png"))
+    images = painted([drawing.figure for drawing in drawn.values()])
+    for ((part, name), drawing), image in zip(drawn.items(), images, strict=True):
+        pictures.setdefault(part, []).append(style.pictured(drawing, f"figures/{name}.png", image.svg))
         make_writable(out / "figures")
-        images = {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
-        write_files(out / "figures", images, _MEND)
+        named = {f"{name}.{kind}": content for kind, content in image.files.items()}
+        write_files(out / "figures", named, _MEND)
     stored = {name: results[name] for part in PARTS.values() for name in part.experiments if name in results}
     commands = ["make reproduce" + (" QUICK=1" if quick else "")]
     whole = page.page(tested, pictures, _sheets(results), stored, commands, quick)

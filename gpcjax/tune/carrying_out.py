@@ -14,6 +14,7 @@ from gpcjax.report import words
 from gpcjax.report.compare import Comparison
 from gpcjax.report.document import Picture, Sheet
 from gpcjax.report.figures import compare_figure, style
+from gpcjax.report.figures.painted import painted
 from gpcjax.report.figures.style import Drawing
 from gpcjax.report.run import draw
 from gpcjax.sweep.atomic import clean, write_atomic
@@ -142,9 +143,10 @@ def _drawn(out: Path, drawing: Drawing | None) -> list[Picture]:
     """The figure of a search in its folder, and for its page."""
     if drawing is None:
         return []
-    for kind in ("png", "pdf"):
-        write_atomic(out / f"{page.FIGURE}.{kind}", style.image(drawing.figure, kind))
-    return [style.pictured(drawing)]
+    (image,) = painted([drawing.figure])
+    for kind, content in image.files.items():
+        write_atomic(out / f"{page.FIGURE}.{kind}", content)
+    return [style.pictured(drawing, svg=image.svg)]
 
 
 def _watcher(wishes: Wishes) -> Callable[..., Watcher] | None:

@@ -9,6 +9,7 @@ import pandas as pd
 from gpcjax.report import content, html
 from gpcjax.report.drawn import PAGE
 from gpcjax.report.figures import curves, grids, style
+from gpcjax.report.figures.painted import painted
 from gpcjax.report.files import write_files
 from gpcjax.report.summary import Summary
 
@@ -32,7 +33,7 @@ def write(
     Raises:
         UserError: a file cannot be written.
     """
-    drawings = {
+    found = {
         "curves": curves.learning_curves(summary),
         "rates": curves.learning_rates(summary, corrections),
         "heatmap": grids.final_returns(summary),
@@ -41,11 +42,12 @@ def write(
         "summary.csv": summary.table().to_csv(index=False),
         "differences.csv": summary.difference_table().to_csv(index=False),
     }
+    drawings = {name: drawing for name, drawing in found.items() if drawing is not None}
     pictures = []
-    for name, drawing in drawings.items():
-        if drawing is not None:
-            files |= {f"{name}.{kind}": style.image(drawing.figure, kind) for kind in ("png", "pdf")}
-            pictures.append(style.pictured(drawing))
+    images = painted([drawing.figure for drawing in drawings.values()])
+    for (name, drawing), image in zip(drawings.items(), images, strict=True):
+        files |= {f"{name}.{kind}": content for kind, content in image.files.items()}
+        pictures.append(style.pictured(drawing, svg=image.svg))
     page = content.document(summary, pictures)
     files[PAGE] = html.render(page, head(files))
     return replace(summary, files=write_files(out, files, _MEND))

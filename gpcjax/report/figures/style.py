@@ -263,10 +263,11 @@ def load_formats() -> None:
         image(figure, kind)
 
 
-def pictured(drawing: Drawing, file: str = "") -> Picture:
-    """A drawing for a document; `file` is where it lies beside it."""
+def pictured(drawing: Drawing, file: str = "", svg: bytes | None = None) -> Picture:
+    """A drawing for a document; `file` is where it lies beside it, `svg` the figure, if it has been painted before."""
     figure, alternative, caption = drawing
-    return Picture(image(figure, "svg"), figure.get_figwidth(), alternative, caption, file)
+    svg = image(figure, "svg") if svg is None else svg
+    return Picture(svg, figure.get_figwidth(), alternative, caption, file)
 
 
 def _across(number: int) -> int:

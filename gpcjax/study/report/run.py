@@ -91,6 +91,7 @@ def _pictures(held: Held, numbers: Numbers, analysis: Path) -> Iterable[Picture]
     if not numbers.taught:
         return
     from gpcjax.report.figures import style  # matplotlib takes longer to import than all else to compute
+from gpcjax.report.figures.painted import painted
     from gpcjax.study.report import figures
 
     name_of, algorithms = names_of(held), algorithms_of(held)
@@ -103,7 +104,8 @@ def _pictures(held: Held, numbers: Numbers, analysis: Path) -> Iterable[Picture]
             for place, task in enumerate(dict.fromkeys(each.task for each in numbers.taught), 1)
         },
     }
-    for name, drawing in drawings.items():
-        for kind in ("png", "pdf"):
-            (analysis / FIGURES / f"{name}.{kind}").write_bytes(style.image(drawing.figure, kind))
-        yield style.pictured(drawing, f"{FIGURES}/{name}.png")
+    images = painted([drawing.figure for drawing in drawings.values()])
+    for (name, drawing), image in zip(drawings.items(), images, strict=True):
+        for kind, content in image.files.items():
+            (analysis / FIGURES / f"{name}.{kind}").write_bytes(content)
+        yield style.pictured(drawing, f"{FIGURES}/{name}.png", image.svg)
