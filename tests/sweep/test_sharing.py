@@ -10,8 +10,7 @@ from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.crowd import AT_START, USUAL_PIECE
 from gpcjax.sweep.estimate import least_to_join
-from gpcjax.sweep.executors import Desk, Totals
-from gpcjax.sweep.executors import times
+from gpcjax.sweep.executors import Desk, Totals, times
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.sharing import BATCH, Sharing

@@ -91,7 +91,7 @@ def _pictures(held: Held, numbers: Numbers, analysis: Path) -> Iterable[Picture]
     if not numbers.taught:
         return
     from gpcjax.report.figures import style  # matplotlib takes longer to import than all else to compute
-from gpcjax.report.figures.painted import painted
+    from gpcjax.report.figures.painted import painted
     from gpcjax.study.report import figures
 
     name_of, algorithms = names_of(held), algorithms_of(held)
