@@ -2,6 +2,7 @@ import itertools
 import subprocess
 import sys
 
+import jax
 import pytest
 
 from gpcjax.errors import UserError
@@ -120,6 +121,20 @@ def test_hash_is_the_same_in_another_process():
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert printed.strip() == specification_hash(spec_of(env="cartpole", error=[0, 0.1])) == "daa42ad33b9f"
+
+
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+def test_the_adaptive_rate_and_the_static_one_share_a_program(algo):
+    static, adaptive = (
+        plan(spec_of(env="cartpole", algo=algo, seeds=1, **rates))[0] for rates in ({"static_rate": 0.04}, {})
+    )
+    assert static != adaptive and program_of(static) == program_of(adaptive)
+    one, other = start_of(static), start_of(adaptive)
+    assert shapes(one.learner) == shapes(other.learner)
+
+
+def shapes(tree):
+    return jax.tree.structure(tree), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
 
 
 class TestRateSchedule:
