@@ -5,6 +5,7 @@ import sys
 import jax
 import pytest
 
+from gpcjax.engine.lanes import room_for
 from gpcjax.errors import UserError
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.plan import (
@@ -171,7 +172,16 @@ class TestRateSchedule:
     def test_the_teacher_has_a_chance_for_each_episode(self, rates, expected):
         """The last one from then on; what no episode needs is left out."""
         cell = plan(spec_of(env="cartpole", algo="coach", seeds=1, episodes=4, rate_schedule=rates))[0]
-        assert start_of(cell).teacher.schedule.tolist() == expected
+        schedule = start_of(cell).teacher.schedule.tolist()
+        assert schedule == expected + expected[-1:] * (room_for(4) - 4)
+
+    def test_sweeps_of_other_lengths_have_the_same_arrays(self):
+        """So that they share what is compiled."""
+        few, many = (
+            start_of(plan(spec_of(env="cartpole", seeds=1, episodes=episodes, rate_schedule=0.1))[0])
+            for episodes in (10, 30)
+        )
+        assert shapes(few.teacher) == shapes(many.teacher)
 
 
 def test_default_folder():
