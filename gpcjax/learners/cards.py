@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gpcjax.allowed import COUNT, SWITCH, OneOf, checked, shown
 from gpcjax.errors import UserError
@@ -49,7 +50,7 @@ def settings_of(learner: Learner, state: State) -> dict[str, Any]:
         "algo": "gpc-ns" if learner.policy.normalise else "gpc",
         **sizes,
         "policy_nu": learner.policy.kernel.smoothness,
-        "static": learner.static_rate is not None,
+        "static": not np.isnan(learner.static_rate).all(),
         "sparsify": learner.sparsify,
         "on_full": learner.on_full,
         "policy_capacity": learner.policy_capacity,

@@ -48,7 +48,7 @@ _GP = (
     Setting("human_length_scale", "l_h", POSITIVE, "length-scale of the human model"),
     Setting("human_variance", "c_h", POSITIVE, "signal variance of the human model"),
     Setting("constant_rate", "c_r", NON_NEGATIVE, "constant part of the learning rate (3.5)"),
-    Setting("static_rate", "r_c", POSITIVE, "learning rate that replaces the adaptive one", compiled="given"),
+    Setting("static_rate", "r_c", POSITIVE, "learning rate that replaces the adaptive one"),
     Setting("noise", "sigma_n^2", POSITIVE, "noise variance on both diagonals"),
     Setting("human_noise", "", POSITIVE, "noise variance on the human model's diagonal, in place of noise"),
 )

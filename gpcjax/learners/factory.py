@@ -190,12 +190,12 @@ def _gpc(
         checked(name, capacity if value is None else value, int, CAPACITY)
         for name, value in (("policy_capacity", policy_capacity), ("human_capacity", human_capacity))
     )
-    policy_nu = checked("policy_nu", policy_nu, float, ALLOWED["policy_nu"])
+    static = math.nan if static_rate is None else checked("static_rate", static_rate, float, POSITIVE)
     noises = _number("noise", noise), _number("human_noise", noise if human_noise is None else human_noise)
     policy = Kernel(
         variance=_number("policy_variance", policy_variance),
         length_scale=_number("policy_length_scale", policy_length_scale),
-        smoothness=policy_nu,
+        smoothness=checked("policy_nu", policy_nu, float, ALLOWED["policy_nu"]),
     )
     human = Kernel(
         variance=_number("human_variance", human_variance),
@@ -213,7 +213,7 @@ def _gpc(
         human=processes[1],
         scaling=jnp.ones(obs_size) if weights is None else weights,
         constant_rate=_number("constant_rate", constant_rate),
-        static_rate=None if static_rate is None else _number("static_rate", static_rate),
+        static_rate=jnp.asarray(static, float),
         obs_size=obs_size,
         action_size=action_size,
         sparsify=checked("sparsify", sparsify, bool, SWITCH),

@@ -81,7 +81,7 @@ class GPC(Learner):
             sparsify, replaces points; H replaces them where `on_full` is "replace-nearest".
         scaling: (obs_size,), w: what observations are multiplied by; GPC-NS has what it needs of it in its processes.
         constant_rate: c_r, added to the adaptive rate (3.5).
-        static_rate: r_c, or None: if given it is the whole rate, as in the ablation of Table 5.4.
+        static_rate: r_c, the whole rate, as in the ablation of Table 5.4; NaN where nobody gave it: then it is (3.5).
         sparsify: use SPARS (Alg. 3); otherwise every correction is appended. Static.
         on_full: one of `ON_FULL`. Static.
         policy_capacity, human_capacity: points for which `init` makes room. Static.
@@ -93,7 +93,7 @@ class GPC(Learner):
     human: GaussianProcess
     scaling: Float[Array, " obs"]
     constant_rate: Float[Array, ""]
-    static_rate: Float[Array, ""] | None
+    static_rate: Float[Array, ""]
     sparsify: bool = eqx.field(static=True)
     on_full: str = eqx.field(static=True)
     policy_capacity: int = eqx.field(static=True)
@@ -177,7 +177,7 @@ class GPC(Learner):
         policy = _consult(self.policy, states.policy, place, obs)
         human = _consult(self.human, states.human, place, pair)
         adaptive = policy.sigma + human.sigma + self.constant_rate  # (3.5)
-        rate = adaptive if self.static_rate is None else self.static_rate
+        rate = jnp.where(jnp.isnan(self.static_rate), adaptive, self.static_rate)
         target = action + rate * advice
 
         given = advice != 0

@@ -34,6 +34,7 @@ from gpcjax.learners.recipes import (
     recipe_of,
     shapes_of,
     template_of_own,
+    unsaid,
 )
 from gpcjax.policies.checkpoint import first_line
 from gpcjax.policies.folder import FORMAT
@@ -66,8 +67,9 @@ def pack_learner(learner: Any, state: State) -> tuple[dict[str, Any], dict[str, 
         name: _kind(leaf) for name, leaf in expected.items()
     }:
         raise UserError(_ANOTHER)
-    # Nothing is kept of arrays without entries, which the checkpoint does not take.
-    arrays = {name: np.asarray(leaf) for name, leaf in given.items() if leaf.size}
+    # Nothing is kept of arrays without entries, which the checkpoint does not take, nor of what nobody gave.
+    left_out = unsaid(template[0])
+    arrays = {name: np.asarray(leaf) for name, leaf in given.items() if leaf.size and name not in left_out}
     odd = _not_finite(arrays)
     if odd:
         raise UserError(f"this learner cannot be saved: {odd} is not finite")
@@ -142,7 +144,9 @@ def unpacked(
     """
     arrays, odd = _fitted(template, arrays)
     if not odd and type(template[0]) in _BUILT_IN:
-        odd = _not_finite(arrays)
+        left_out = unsaid(template[0])
+        odd = _not_finite({name: value for name, value in arrays.items() if name not in left_out})
+        odd = odd or next((name for name in left_out if not np.isnan(arrays[name])), "")
     if odd:
         raise UserError(f"{source}: this learner is damaged ({odd} is not what the card says)")
     leaves = [jnp.asarray(arrays[name]) for name in leaves_of(template)]
@@ -158,7 +162,7 @@ def _fitted(
     """
     expected = leaves_of(template)
     empty = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in expected.items() if not leaf.size}
-    arrays = empty | dict(arrays)
+    arrays = empty | unsaid(template[0]) | dict(arrays)
     if type(template[0]) not in _BUILT_IN:
         arrays = {
             name: _cast(value, expected[name].dtype) if name in expected else value

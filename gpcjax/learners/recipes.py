@@ -158,7 +158,7 @@ def made_again(recipe: Recipe, shapes: Mapping[str, tuple[int, ...]]) -> tuple[t
     Those of the learner itself may be of any shape; one of its state is as `init` makes it, or as it has grown.
     """
     learner, state = _shapes(recipe.made(), shapes)
-    known = shapes_of((learner, state))
+    known, shapes = shapes_of((learner, state)), {**dict.fromkeys(unsaid(learner), ()), **shapes}
     odd = next((name for name in {**known, **shapes} if known.get(name) != shapes.get(name)), "")
     if not odd:
         return (learner, state), ""
@@ -192,6 +192,18 @@ def leaves_of(tree: Any) -> dict[str, Any]:
     paths, _ = jax.tree.flatten_with_path(tree)
     first = ("learner", "state")
     return {first[path[0].idx] + jax.tree_util.keystr(path[1:]): leaf for path, leaf in paths}
+
+
+def unsaid(learner: Learner) -> dict[str, np.ndarray]:
+    """The single numbers of a learner that are NaN, which is one that nobody gave, such as GPC's `static_rate`.
+
+    What is kept may have no array of it: 0.2.0 had none in the learner either.
+    """
+    single = {name: leaf for name, leaf in leaves_of((learner, None)).items() if np.shape(leaf) == ()}
+    known = {
+        name: np.asarray(leaf) for name, leaf in single.items() if not isinstance(leaf, jax.ShapeDtypeStruct)
+    }
+    return {name: number for name, number in known.items() if number.dtype.kind == "f" and np.isnan(number)}
 
 
 def shapes_of(tree: tuple[Learner, State]) -> dict[str, tuple[int, ...]]:

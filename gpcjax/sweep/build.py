@@ -16,7 +16,7 @@ from gpcjax.engine.evaluate import idle
 from gpcjax.engine.history import Credit
 from gpcjax.engine.identity import Keeper
 from gpcjax.engine.keeping import Keep
-from gpcjax.engine.lanes import Start
+from gpcjax.engine.lanes import Start, room_for
 from gpcjax.engine.pool import Pool, Tier, tiers
 from gpcjax.envs.registry import NOBODY, expert_names, make_env, make_expert
 from gpcjax.errors import UserError
@@ -116,8 +116,11 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     if cell.rate_schedule:
         if "schedule" not in takes:
             raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
-        last = cell.rate_schedule[-1:] * cell.episodes
-        options["schedule"] = (*cell.rate_schedule, *last)[: cell.episodes]
+        rates = cell.rate_schedule[: cell.episodes]
+        # As many as there are rows, so that sweeps of other lengths share programs; one of a person's own has no more
+        # than there are episodes.
+        size = room_for(cell.episodes) if cell.teacher in built_in("teacher") else cell.episodes
+        options["schedule"] = (*rates, *rates[-1:] * (size - len(rates)))
     return fixed(make(**options))
 
 

@@ -58,6 +58,12 @@ def made_with(
     own = {each.name: each.default for each in spec.settings if each.default is not None}
     usual = {"noise": _NOISE, **own, **spec.defaults, **task.presets.get(spec.name, {})}
     usual["human_noise"] = arrays.get("learner.policy.noise")
+    # One that is NaN was not given.
+    arrays = {
+        name: array
+        for name, array in arrays.items()
+        if name != "learner.static_rate" or np.all(array == array)
+    }
     if "learner.static_rate" in arrays:
         usual["constant_rate"] = arrays.get("learner.constant_rate")  # beside it, that one changes nothing
     told = {**card, **table(card, "recipe", "settings")}

@@ -29,7 +29,7 @@ def test_tables_5_1_to_5_3(algo, name):
         assert getattr(learner, process).normalise == (algo == "gpc-ns")
     assert learner.policy.kernel.smoothness == table["policy_nu"]
     assert learner.human.kernel.smoothness == math.inf
-    assert learner.constant_rate == table["constant_rate"] and learner.static_rate is None
+    assert learner.constant_rate == table["constant_rate"] and np.isnan(learner.static_rate)
     if algo == "gpc":
         np.testing.assert_array_equal(learner.scaling, table["weights"])
     assert learner.sparsify and learner.on_full == "error"

@@ -101,6 +101,14 @@ def test_a_dictionary_may_have_grown():
     assert_same_bits(same, state)
 
 
+def test_one_of_0_2_0_that_is_built_as_gpc_has_no_array_for_a_rate_that_nobody_gave():
+    recipe = Recipe(GROWING.name, "mountaincar", {"policy_capacity": 8, "human_capacity": 8})
+    learner = recipe.made()
+    card, arrays = pack_own(recipe, learner, learner.init())
+    del card["shapes"]["learner.static_rate"], arrays["learner.static_rate"]
+    assert_same_bits(unpack_learner(json.loads(json.dumps(card)), arrays), (learner, learner.init()))
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [

@@ -87,6 +87,26 @@ def test_what_is_packed_has_no_room_to_spare_and_goes_on_to_the_bit(algo):
         np.testing.assert_allclose(policy(obs), learner.act(state, obs), rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("rates", [{"static_rate": 0.1}, {}], ids=["static", "adaptive"])
+def test_a_static_rate_is_kept_where_it_was_given_and_else_there_is_nothing_of_it(tmp_path, rates):
+    """As in 0.2.0, whose learners had no such number at all."""
+    learner = make_learner("gpc", obs_size=2, action_size=2, capacity=8, **rates)
+    state = teach(learner, learner.init(), 0, 2)
+    gpcjax.save_learner(tmp_path / "saved", learner, state)
+    card, arrays = pack_learner(learner, state)
+    kept = {name: value for name, value in arrays.items() if "static_rate" in name}
+    assert card["static"] == bool(rates) and kept == ({"learner.static_rate": 0.1} if rates else {})
+    for loaded in (gpcjax.load_learner(tmp_path / "saved"), unpack_learner(card, arrays)):
+        assert_same_bits(loaded, (learner, state))
+    odd = (
+        {name: value for name, value in arrays.items() if name not in kept}
+        if rates
+        else {**arrays, "learner.static_rate": np.array(0.1)}
+    )
+    with pytest.raises(UserError, match=r"learner.static_rate is not what the card says"):
+        unpack_learner(card, odd)
+
+
 def test_what_was_not_packed_is_refused():
     learner = learner_of("gpc")
     state = teach(learner, begun(learner), 0, 3)

@@ -2,8 +2,10 @@ import itertools
 import subprocess
 import sys
 
+import jax
 import pytest
 
+from gpcjax.engine.lanes import room_for
 from gpcjax.errors import UserError
 from gpcjax.sweep.build import start_of
 from gpcjax.sweep.plan import (
@@ -122,6 +124,20 @@ def test_hash_is_the_same_in_another_process():
     assert printed.strip() == specification_hash(spec_of(env="cartpole", error=[0, 0.1])) == "daa42ad33b9f"
 
 
+@pytest.mark.parametrize("algo", ["gpc", "gpc-ns"])
+def test_the_adaptive_rate_and_the_static_one_share_a_program(algo):
+    static, adaptive = (
+        plan(spec_of(env="cartpole", algo=algo, seeds=1, **rates))[0] for rates in ({"static_rate": 0.04}, {})
+    )
+    assert static != adaptive and program_of(static) == program_of(adaptive)
+    one, other = start_of(static), start_of(adaptive)
+    assert shapes(one.learner) == shapes(other.learner)
+
+
+def shapes(tree):
+    return jax.tree.structure(tree), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
+
+
 class TestRateSchedule:
     """One value for all cells, however long: its order is its meaning."""
 
@@ -156,7 +172,16 @@ class TestRateSchedule:
     def test_the_teacher_has_a_chance_for_each_episode(self, rates, expected):
         """The last one from then on; what no episode needs is left out."""
         cell = plan(spec_of(env="cartpole", algo="coach", seeds=1, episodes=4, rate_schedule=rates))[0]
-        assert start_of(cell).teacher.schedule.tolist() == expected
+        schedule = start_of(cell).teacher.schedule.tolist()
+        assert schedule == expected + expected[-1:] * (room_for(4) - 4)
+
+    def test_sweeps_of_other_lengths_have_the_same_arrays(self):
+        """So that they share what is compiled."""
+        few, many = (
+            start_of(plan(spec_of(env="cartpole", seeds=1, episodes=episodes, rate_schedule=0.1))[0])
+            for episodes in (10, 30)
+        )
+        assert shapes(few.teacher) == shapes(many.teacher)
 
 
 def test_default_folder():
