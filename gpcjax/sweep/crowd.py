@@ -55,6 +55,10 @@ class Crowd:
             return 1.0
         return min(max(self._seconds / max(self._processor, 1e-9), 1.0), MOST)
 
+    def late(self, seconds: float, usual: float) -> float:
+        """The same as long as no worker is there, after so many seconds: usually they take so many of a core."""
+        return min(max(seconds / (AT_START * usual), self.slowness), MOST) if usual else self.slowness
+
     @property
     def machine(self) -> float:
         """How many times as long as in `costs` a core of this machine takes, by the pieces of work of its workers."""

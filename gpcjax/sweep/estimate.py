@@ -22,8 +22,10 @@ KNOWN = 0.15
 UNLIKE = 0.1
 """How much farther, with each factor of e between the cells of then and now."""
 
-LATE = 0.25
-"""What is late takes as much longer, as a part of the time since it began."""
+LATE = 0.4
+"""What has not ended yet takes as much longer than expected, as a part of the time since it began: what takes longer
+than others took, or than was guessed, is found among what has not ended. Compilations took 1.1 to 1.8 times as long as
+guessed: of a deviation of 0.4 of the logarithm, 0.42 of what was expected is left, on average, once it is over."""
 
 MEASURED = 0.4
 """How far off what is left usually is by the pace so far, as a part of it."""
@@ -141,7 +143,7 @@ def _last_end(
 
 def overdue(expected: float, elapsed: float) -> float:
     """Seconds until the end of what was expected to take so long, and has not ended yet."""
-    return max(expected - elapsed, LATE * elapsed)
+    return max(expected - elapsed, 0.0) + LATE * elapsed
 
 
 def _guessed(works: Sequence[Work]) -> float:
@@ -199,7 +201,7 @@ def _compiling(works: Sequence[Work]) -> float:
     begun = [work for work in works if work.steps and not work.before]
     compiled = (work.paces.compiled or costs.tiers(work.algo, work.episodes) for work in begun)
     usual = sum(
-        costs.compiling(work.algo) * tiers * (work.joined - work.starting)
+        costs.compiling(work.algo, tiers) * (work.joined - work.starting)
         for work, tiers in zip(begun, compiled, strict=True)
     )
     if not usual:
@@ -219,12 +221,15 @@ def _to_begin(work: Work, compiling: float) -> float:
 
 def _further(work: Work, compiling: float) -> float:
     """Seconds until a worker that steps has the programs of larger tiers too."""
-    if work.before:
-        spent = work.compile_seconds / max(work.joined, 1) + work.compiling_for
-        return max(_to_compile(work, compiling) - spent, 0.0)
     if not work.paces.compiled:
         return 0.0
-    # Runs that get so far come with time.
-    expected = (costs.tiers(work.algo, work.episodes) - work.paces.compiled) * (1 - work.done)
-    tiers = max(expected, work.paces.waiting)
-    return overdue(tiers * costs.compiling(work.algo) * compiling, work.compiling_for) if tiers > 0 else 0.0
+    if work.before:
+        anew = work.paces.compiled + work.paces.waiting - work.before.tiers
+        if anew <= 0:  # all of them are kept
+            spent = work.compile_seconds / max(work.joined, 1) + work.compiling_for
+            return max(_to_compile(work, compiling) - spent, 0.0)
+        tiers = float(anew)
+    else:  # runs that get so far come with time
+        expected = (costs.tiers(work.algo, work.episodes) - work.paces.compiled) * (1 - work.done)
+        tiers = max(expected, work.paces.waiting)
+    return overdue(tiers * costs.further(work.algo) * compiling, work.compiling_for) if tiers > 0 else 0.0

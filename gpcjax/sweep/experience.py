@@ -48,6 +48,8 @@ class Cost(NamedTuple):
     """That these were seen of."""
     workers: int
     """That were at it."""
+    tiers: int = 1
+    """That were compiled: what gets farther is compiled anew."""
 
 
 def of(programs: Iterable[Program], folder: Path | None) -> dict[Program, Cost]:
@@ -67,7 +69,7 @@ def learn(costs: Mapping[Program, Cost], folder: Path | None, started: float | N
         return
     entries = _read(folder)
     if started is not None:
-        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0, 1, 1]
+        entries[START] = [(entries.pop(START, [started])[0] + started) / 2, 0.0, 1, 1, 1]
     for program, cost in costs.items():
         entries.pop(_key(program), None)
         entries[_key(program)] = list(cost)  # last, as the newest

@@ -100,8 +100,11 @@ class Paces:
         tiers = self._tiers()
         return max(
             (
-                sum(stay.runs >= 0.5 and not pace.seconds for stay, pace in zip(stays, paces, strict=False))
-                for stays, paces in zip(self._stays(tiers), self._now.values(), strict=True)
+                sum(
+                    stay.runs >= 0.5 and not tier.lane_seconds
+                    for stay, tier in zip(stays, tiers, strict=True)
+                )
+                for stays in self._stays(tiers)
             ),
             default=0,
         )

@@ -62,7 +62,7 @@ class Work:
     ready_in: float = 0.0
     """Seconds until the workers are there at all."""
     compiling_for: float = 0.0
-    """Seconds that a worker has been compiling by now."""
+    """Seconds that a worker has been at a compilation by now, tracing and all."""
 
     def add(self, steps: int, episodes: int, compile_seconds: float) -> None:
         """Take in what a worker has done since it was last heard."""
@@ -109,7 +109,7 @@ class Work:
         return (
             self.before.compiling
             if self.before
-            else costs.compiling(self.algo) * costs.tiers(self.algo, self.episodes)
+            else costs.compiling(self.algo, costs.tiers(self.algo, self.episodes))
         )
 
     @property
@@ -143,7 +143,8 @@ class Work:
             anew = share * self.compile_seconds / self.kept > COMPILED_FROM
             compiling *= FROM_CACHE if anew else FROM_TEXT
         cells = max(round(self.cells * self.done), 1)
-        return Cost(share * self.seconds / self.done_episodes, compiling, cells, self.joined)
+        tiers = max(self.paces.compiled, self.before.tiers if self.before else 1)
+        return Cost(share * self.seconds / self.done_episodes, compiling, cells, self.joined, tiers)
 
     @property
     def steps_left(self) -> float:

@@ -14,8 +14,8 @@ from gpcjax.engine.pace import Pace
 from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, estimate, experience, telling
-from gpcjax.sweep.crowd import AT_START, USUAL_PIECE, Crowd
-from gpcjax.sweep.estimate import compiling_left, least_to_join, overdue, seconds_left
+from gpcjax.sweep.crowd import AT_START, MOST, USUAL_PIECE, Crowd
+from gpcjax.sweep.estimate import LATE, compiling_left, least_to_join, overdue, seconds_left
 from gpcjax.sweep.experience import FROM_CACHE, Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import FIRST, SLOWER, Paces
@@ -23,7 +23,7 @@ from gpcjax.sweep.plan import plan, program_of
 from gpcjax.sweep.progress import LINE_SECONDS, Bar
 from gpcjax.sweep.spec import spec_of
 from gpcjax.sweep.telling import State, Told
-from gpcjax.sweep.works import Work, works_of
+from gpcjax.sweep.works import AT_FIRST, Work, works_of
 
 TICK = 0.25
 
@@ -250,6 +250,8 @@ class TestPaces:
         assert paces.waiting == 0
         paces.take(0, (first, Pace(2)))
         assert paces.waiting == 1
+        paces.take(1, (first, Pace(2, seconds=3.0, lane_seconds=3.0, episodes=1)))
+        assert paces.waiting == 0, "another worker has it: it is read"
 
     def test_what_was_done_adds_up(self):
         one = Pace(2, 1.0, 2.0, 3, outgrown=1, then_left=4, ended=2).with_left([5, 1])
@@ -278,11 +280,43 @@ class TestPaces:
         # A machine that others use as well takes longer.
         assert seconds_left([replace(work, slowness=3.0)], 1) > 1.3 * seconds_left([work], 1)
 
+    def test_a_tier_that_a_known_program_never_had_is_compiled_anew(self):
+        """The last time no run got so far; now some wait for it."""
+        work = Work("cartpole", "gpc", 8, 10, begun=8, joined=1, workers=1, compile_seconds=1.0, seconds=2.0)
+        work.steps, work.done_episodes, work.machine = 1000, 40, 2.0
+        work.paces.take(
+            0, (Pace(8, seconds=1.5, lane_seconds=12.0, episodes=40), Pace(8, left=9, longest=5, runs=2))
+        )
+        new, known = (replace(work, before=Cost(0.1, 1.0, 8, 1, tiers)) for tiers in (1, 2))
+        whole = seconds_left([known], 1)
+        assert seconds_left([new], 1) == pytest.approx(whole + 2.0 * costs.further("gpc"))
+        new.compiling_for = 3.0
+        assert seconds_left([new], 1) == pytest.approx(whole + 2.0 * costs.further("gpc") - 3.0 + 3.0 * LATE)
+
+
+def test_further_tiers_take_their_part_of_the_first():
+    assert costs.further("gpc") == costs.compiling("gpc") == costs.compiling("gpc", 2) / 2
+    one, half = costs.compiling("gpc-ns"), costs.further("gpc-ns")
+    assert half == one / 2 and costs.compiling("gpc-ns", 3) == 2 * one
+
+
+def test_what_was_compiled_tells_how_long_the_others_take():
+    """Both tiers of the one took three times as long as in the table: the other one will, and its blocks may not."""
+    first = Work("cartpole", "gpc-ns", 8, 10, begun=8, finished=8, joined=1, compile_seconds=3.0 * 1.5 * 7.5)
+    first.steps = first.finished_steps = 1000
+    first.done_episodes = first.finished_episodes = 80
+    first.paces.take(0, (Pace(1, 1.0, 1.0, 40), Pace(1, 1.0, 1.0, 40)))
+    other = Work("cartpole", "coach", 10, 10)
+    blocks = 10 * 10 * costs.of_episode("cartpole", "coach", "")
+    expected = 3.0 * (costs.compiling("coach") + AT_FIRST) + blocks
+    assert seconds_left([first, other], 1) == pytest.approx(expected)
+
 
 def test_workers_are_there_after_a_while():
     works = [Work("cartpole", "coach", 100, 30, ready_in=5.0)]
     assert seconds_left(works, 2) == pytest.approx(5.0 + seconds_left([replace(works[0], ready_in=0.0)], 2))
-    assert overdue(4.0, 1.0) == 3.0 and overdue(4.0, 20.0) == 5.0
+    assert overdue(4.0, 0.0) == 4.0
+    assert overdue(4.0, 1.0) == 3.0 + LATE and overdue(4.0, 20.0) == 20.0 * LATE, "the later, the longer"
 
 
 def test_who_else_wants_a_core():
@@ -290,6 +324,8 @@ def test_who_else_wants_a_core():
     assert crowd.slowness == crowd.machine == 1.0
     crowd.begin(10.4 * AT_START, 2.6, 2 * USUAL_PIECE)
     assert crowd.slowness == pytest.approx(4.0) and crowd.machine == pytest.approx(2.0)
+    assert crowd.late(1.0, 2.0) == pytest.approx(4.0) == crowd.late(9.0, 0.0)
+    assert crowd.late(15.0 * AT_START, 2.0) == 7.5 and crowd.late(900.0, 2.0) == MOST
     for _ in range(200):
         crowd.take(1.0, 1.1)  # a compilation has several threads
     assert crowd.slowness == 1.0 and crowd.machine == pytest.approx(2.0)
@@ -472,6 +508,10 @@ class TestExperience:
         assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_CACHE, 60, 1)
         work.kept = 10
         assert work.took == Cost(30.0 / work.done_episodes, 4.0 * experience.FROM_TEXT, 60, 1)
+        work.before = Cost(0.5, 0.0, 100, 1, tiers=3)
+        assert work.took is not None and work.took.tiers == 3, (
+            "those that no run got to this time are kept, too"
+        )
 
     def test_few_cells_tell_what_many_take(self):
         """Those of few keep a block half empty; the more there were then, the more they are believed."""
@@ -499,13 +539,15 @@ class TestExperience:
             b"{",
             b'{"a": 3}',
             b'{"a": [1, 2, 3]}',
-            b'{"a": [1, 2, "3", 1]}',
-            b'{"a": [1, 2, true, 1]}',
-            b'{"a": [0, 2, 3, 1]}',
-            b'{"a": [1, 2, 0, 1]}',
-            b'{"a": [1, 2, 3, 1.5]}',
-            b'{"a": [NaN, 2, 3, 1]}',
-            b'{"a": [1, 2, ' + b"9" * 400 + b", 1]}",
+            b'{"a": [1, 2, 3, 1]}',  # of an earlier version, without tiers
+            b'{"a": [1, 2, 3, 1, 0]}',
+            b'{"a": [1, 2, "3", 1, 1]}',
+            b'{"a": [1, 2, true, 1, 1]}',
+            b'{"a": [0, 2, 3, 1, 1]}',
+            b'{"a": [1, 2, 0, 1, 1]}',
+            b'{"a": [1, 2, 3, 1.5, 1]}',
+            b'{"a": [NaN, 2, 3, 1, 1]}',
+            b'{"a": [1, 2, ' + b"9" * 400 + b", 1, 1]}",
             b"[" * 100000,
             bytes([255]),
         ],

@@ -9,7 +9,7 @@ import pytest
 from gpcjax.errors import Failure
 from gpcjax.sweep import stopping
 from gpcjax.sweep.crowd import AT_START, USUAL_PIECE
-from gpcjax.sweep.estimate import least_to_join
+from gpcjax.sweep.estimate import LATE, least_to_join
 from gpcjax.sweep.executors import Desk, Totals, times
 from gpcjax.sweep.experience import Cost
 from gpcjax.sweep.plan import plan, program_of
@@ -183,7 +183,10 @@ class TestDesk:
         it = Desk(cells(seeds=2), [], 2, lambda _: None, lambda *_: None, lambda _: None, starts=2.0)
         work = next(iter(it.works.values()))
         assert work.ready_in == 2.0 and it.started is None
-        now[0] += 3.0
+        now[0] += 4.0 * AT_START
+        it.look()
+        assert (work.slowness, work.ready_in) == (2.0, LATE * 4.0 * AT_START), "others are on the cores, too"
+        now[0] += 1.0
         for worker in (0, 1):
             assert it.answer(worker, ("begun", 5.2 * AT_START, 2.6, 2 * USUAL_PIECE)) is None
             assert it.answer(worker, ("ready",))[0] == "program"
@@ -247,10 +250,14 @@ class TestDesk:
         monkeypatch.setattr(times.time, "monotonic", lambda: now[0])
         it, _, _, told = desk(jobs=1)
         it.answer(0, ("ready",))
+        now[0] += 0.5
+        it.look()
+        assert told[-1].works[0].compiling_for == 0.0
+        now[0] += 2.5  # it is traced
         it.answer(0, ("compiling", True))  # a program that was kept: no word comes that it is there
         now[0] += 5.0
         it.look()
-        assert told[-1].compiling and told[-1].works[0].compiling_for == 5.0
+        assert told[-1].compiling and told[-1].works[0].compiling_for == 8.0
         it.answer(0, ("progress", Totals(10, 1, 0.5, 1, processor_seconds=2.0)))
         assert not told[-1].compiling
         now[0] += 5.0

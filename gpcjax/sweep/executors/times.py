@@ -9,7 +9,8 @@ from gpcjax.sweep.executors.base import Totals
 from gpcjax.sweep.sharing import Sharing
 
 COMPILES_FROM = 0.5
-"""Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then."""
+"""Seconds from which on a compilation is spoken of: taking a compiled program from the cache is over by then. For so
+long a worker is silent only while it compiles: before XLA has a program, which it says, it is traced."""
 
 NOTE_SECONDS = 0.2
 """Between two looks at how much of a core workers have."""
@@ -110,13 +111,15 @@ class Times:
         now = time.monotonic()
         if now - self._noted < NOTE_SECONDS:
             return
-        self._noted, slowness = now, self._crowd.slowness
-        ready_in = 0.0 if self._is_there else overdue(slowness * self._starts, now - self._began)
+        self._noted, slowness, ready_in = now, self._crowd.slowness, 0.0
+        if not self._is_there:
+            slowness = self._crowd.late(now - self._began, self._starts)
+            ready_in = overdue(slowness * self._starts, now - self._began)
         for work in self._sharing.works.values():
             work.slowness, work.machine = slowness, self._crowd.machine
             work.ready_in, work.compiling_for = ready_in, 0.0
         for worker, heard in enumerate(self._heard):
-            program = self._sharing.at(worker)
-            if program is not None and heard.compiling_since is not None:
+            program, silent_for = self._sharing.at(worker), now - heard.since
+            if program is not None and silent_for > COMPILES_FROM:
                 work = self._sharing.works[program]
-                work.compiling_for = max(work.compiling_for, now - heard.compiling_since)
+                work.compiling_for = max(work.compiling_for, silent_for)
