@@ -27,6 +27,10 @@ LATE = 0.4
 than others took, or than was guessed, is found among what has not ended. Compilations took 1.1 to 1.8 times as long as
 guessed: of a deviation of 0.4 of the logarithm, 0.42 of what was expected is left, on average, once it is over."""
 
+LITTLE = 3.0
+"""Seconds of usual programs that have to be seen until their speed counts as much for others as what was guessed: of a
+program that has few steps it tells what others take beside theirs."""
+
 MEASURED = 0.4
 """How far off what is left usually is by the pace so far, as a part of it."""
 
@@ -52,8 +56,10 @@ def seconds_left(works: Sequence[Work], jobs: int) -> float:
     if all(work.finished >= work.cells and not work.workers for work in works):
         return 0.0
     seen = [work for work in works if is_seen(work) and not work.before]
-    usual = sum(_usual(work) * work.done for work in seen)
-    speed = sum(work.seconds for work in seen) / usual if usual else _guessed(works)
+    usual, taken = (
+        sum(each) for each in ((_usual(work) * work.done for work in seen), (work.seconds for work in seen))
+    )
+    speed = (taken + LITTLE * _guessed(works)) / (usual + LITTLE)
     bound, free, to_compile = {}, {}, {}
     """Seconds of each program: of cells that workers have, of cells that nobody has, and to begin with it."""
     compiling = _compiling(works)

@@ -15,7 +15,7 @@ from gpcjax.envs.registry import env_names, expert_names
 from gpcjax.registry import names
 from gpcjax.sweep import costs, estimate, experience, telling
 from gpcjax.sweep.crowd import AT_START, MOST, USUAL_PIECE, Crowd
-from gpcjax.sweep.estimate import LATE, compiling_left, least_to_join, overdue, seconds_left
+from gpcjax.sweep.estimate import LATE, LITTLE, compiling_left, least_to_join, overdue, seconds_left
 from gpcjax.sweep.experience import FROM_CACHE, Cost
 from gpcjax.sweep.jsonlines import JsonLines
 from gpcjax.sweep.paces import FIRST, SLOWER, Paces
@@ -351,6 +351,26 @@ def seen(finished=3, steps=50_000):
     work = Work("cartpole", "gpc", 10, 30, begun=10, finished=finished, steps=steps, done_episodes=150)
     work.finished_steps, work.finished_episodes, work.seconds = steps // 2, 30 * finished, 10.0
     return work
+
+
+def test_a_program_of_few_steps_tells_little_of_others():
+    """What it takes beside them would be taken for a slow machine; one of many steps is believed."""
+
+    def for_each_second_that_is_usual(few):
+        some, more = (
+            seconds_left([few, Work("lunarlander", "gpc-ns", cells, 15)], jobs=1) for cells in (16, 32)
+        )
+        return (more - some) / (16 * 15 * costs.of_episode("lunarlander", "gpc-ns", "heuristic"))
+
+    few = seen()
+    usual = few.done * few.cells * few.episodes * costs.of_episode("cartpole", "gpc", "lqr")
+    assert usual < 0.1 and few.seconds == 10.0
+    assert for_each_second_that_is_usual(few) == pytest.approx((10.0 + LITTLE) / (usual + LITTLE))
+    few.cells, few.begun, few.finished = 10_000_000, 5_000_000, 5_000_000
+    few.finished_steps = few.steps = 50_000 * few.finished
+    few.finished_episodes = few.done_episodes = few.finished * few.episodes
+    few.seconds = 3 * few.finished * few.episodes * costs.of_episode("cartpole", "gpc", "lqr")
+    assert for_each_second_that_is_usual(few) == pytest.approx(3.0, rel=0.01)
 
 
 class TestLogFile:
