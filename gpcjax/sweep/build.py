@@ -113,13 +113,14 @@ def _teacher(cell: Cell, values: Mapping[str, float]) -> Teacher:
     options |= {name: getattr(cell, name) for name in _OF_THE_EXPERIMENT if name in takes}
     if "time_step" in takes:
         options["time_step"] = find("task", cell.env).seconds
-    if cell.rate_schedule:
-        if "schedule" not in takes:
-            raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
-        rates = cell.rate_schedule[: cell.episodes]
-        # As many as there are rows, so that sweeps of other lengths share programs; one of a person's own has no more
-        # than there are episodes.
-        size = room_for(cell.episodes) if cell.teacher in built_in("teacher") else cell.episodes
+    if cell.rate_schedule and "schedule" not in takes:
+        raise UserError(f"rate_schedule: the teacher {cell.teacher} has no schedule, give rate")
+    is_ours = cell.teacher in built_in("teacher")
+    if cell.rate_schedule or is_ours:
+        rates = (cell.rate_schedule or (cell.rate,))[: cell.episodes]
+        # Ours have one anyway, of as many chances as there are rows: so sweeps with and without one, and of other
+        # lengths, share programs.
+        size = room_for(cell.episodes) if is_ours else cell.episodes
         options["schedule"] = (*rates, *rates[-1:] * (size - len(rates)))
     return fixed(make(**options))
 

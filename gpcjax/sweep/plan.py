@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gpcjax.errors import UserError
-from gpcjax.registry import find
+from gpcjax.registry import built_in, find
 from gpcjax.sweep.options import LARGEST, OPTIONS, concerns, settings_of
 from gpcjax.sweep.points import Point, cut, names_of, values_of
 from gpcjax.sweep.scales import SCALES
@@ -56,6 +56,7 @@ class Program(NamedTuple):
     on_full: str
     max_capacity: int
     scheduled: bool
+    """Whether a teacher of a person's own has a schedule: the built-in ones always have one."""
     teacher: str
     compiled: tuple[tuple[str, float | bool | None], ...]
     """What of the settings is compiled in, by name."""
@@ -73,7 +74,7 @@ def program_of(cell: Cell) -> Program:
         sparsify=cell.sparsify,
         on_full=cell.on_full,
         max_capacity=cell.max_capacity,
-        scheduled=bool(cell.rate_schedule),
+        scheduled=bool(cell.rate_schedule) and cell.teacher not in built_in("teacher"),
         teacher=cell.teacher,
         compiled=_compiled_in(cell.algo, cell.teacher, cell.hyperparameters),
         scaled=tuple(bool(getattr(cell, name)) for name in SCALES),

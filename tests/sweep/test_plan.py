@@ -156,13 +156,15 @@ class TestRateSchedule:
         assert len(cells) == count(spec) == 4 and varying(spec) == []
         assert {cell.rate_schedule for cell in cells} == {(0.5, 0.1)}
 
-    def test_it_has_a_program_of_its_own_whatever_its_numbers(self):
+    def test_it_has_the_program_of_a_constant_rate(self):
         one, other, none = (
-            program_of(plan(spec_of(env="cartpole", algo="gpc", seeds=1, **settings))[0])
-            for settings in ({"rate_schedule": 0.5}, {"rate_schedule": [0.2, 0.1]}, {})
+            plan(spec_of(env="cartpole", algo="gpc", seeds=1, **settings))[0]
+            for settings in ({"rate_schedule": 0.5}, {"rate_schedule": [0.2, 0.1]}, {"rate": 0.3})
         )
-        assert one == other and one.scheduled and not none.scheduled
-        assert one._replace(scheduled=False) == none
+        assert program_of(one) == program_of(other) == program_of(none)
+        teachers = [start_of(cell).teacher for cell in (one, other, none)]
+        assert shapes(teachers[0]) == shapes(teachers[1]) == shapes(teachers[2])
+        assert set(teachers[2].schedule.tolist()) == {0.3}
 
     @pytest.mark.parametrize(
         ("rates", "expected"),
