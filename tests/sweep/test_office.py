@@ -44,6 +44,12 @@ def program(answer):
     return program_of(answer[1])
 
 
+def ready(office, worker):
+    """What a worker is told, when it has put away what it did elsewhere."""
+    answer = office.answer(worker, ("ready",))
+    return office.answer(worker, ("ready",)) if answer == ("again",) else answer
+
+
 def work_off(office, worker):
     """Takes the cells of its program and hands them in."""
     while taken := office.answer(worker, ("next",))[1]:
@@ -89,6 +95,17 @@ def test_a_program_that_somebody_has_for_another_sweep_comes_last():
     work_off(office, 1)
     answer = office.answer(1, ("ready",))
     assert program(answer).algo == "gpc" and answer[1].error == 0.2, "there is nothing else"
+
+
+def test_nor_does_who_has_measured_a_baseline_wait_for_it():
+    first, second = (Sweep(cells("gpc", error=error), baselines=["idle"]) for error in (0.1, 0.2))
+    office = Told().office([first, second, Sweep(cells("coach"))])
+    assert program(ready(office, 0)).algo == "gpc"
+    for sweep in (first, second):
+        assert ready(office, 1) == ("baseline", "cartpole", "idle")
+        office.answer(1, ("baseline", "idle", BASELINE))
+        assert sweep.baselines == ["idle"]
+    assert program(ready(office, 1)).algo == "coach"
 
 
 def test_a_sweep_without_anything_to_do_is_over():

@@ -106,56 +106,58 @@ class Office:
             self.desks[index].look()
 
     def _turn(self, worker: int) -> Message:
-        """What a worker does next: where it is if there is anything, or at another desk."""
+        """What a worker does next: a program that nobody has, or else anything; where it is, or at another desk."""
         for desk in self.desks:
             desk.are_there()
         errand = self._errands.next()
         if errand is not None:
             return errand
         seat = self._seats.get(worker)
-        if seat is None:
-            return self._take_seat(worker) or STOP
-        answer = self.desks[seat.desk].turn(seat.number)
-        if answer != STOP:
-            return answer
+        others = [other for holder, other in self._seats.items() if holder != worker]
+        elsewhere = {self.desks[other.desk].at(other.number) for other in others} - {None}
+        for busy in (elsewhere, None):
+            for place in self._places(seat):
+                answer = self.desks[place.desk].turn(place.number, busy)
+                if answer != STOP:
+                    return answer if place == seat else self._move(worker, place, answer)
         self._leave(worker)
-        found = self._take_seat(worker)
-        if found is None:
-            return STOP
-        self._promised[worker] = found
+        for index in range(len(self.desks)):
+            self._note_over(index)
+        return STOP
+
+    def _places(self, seat: _Seat | None) -> list[_Seat]:
+        """Where a worker on this seat can ask, in turn."""
+        free = [_Seat(index, numbers[0]) for index, numbers in enumerate(self._free) if numbers]
+        if seat is None:
+            return free
+        return [seat, *(place for place in free if place.desk != seat.desk)]
+
+    def _move(self, worker: int, place: _Seat, answer: Message) -> Message:
+        """Has a worker take this seat; what it does there it is told when it has put away what it did before."""
+        moves = self._leave(worker)
+        heapq.heappop(self._free[place.desk])
+        self._seats[worker] = place
+        if place.desk in self._new:
+            self._new.discard(place.desk)
+            self._on_turn(place.desk)
+        if not moves:
+            return answer
+        self._promised[worker] = answer
         return AGAIN
 
-    def _leave(self, worker: int) -> None:
-        seat = self._seats.pop(worker)
+    def _leave(self, worker: int) -> bool:
+        """Has a worker leave its seat; False if it has none."""
+        seat = self._seats.pop(worker, None)
+        if seat is None:
+            return False
         self.desks[seat.desk].lose(seat.number)  # it has nothing of that desk any more
         heapq.heappush(self._free[seat.desk], seat.number)
         self._note_over(seat.desk)
+        return True
 
     def _note_over(self, index: int) -> None:
-        """Tells of a desk whose last worker has left."""
+        """Tells of a desk at which nobody is any more, if it is done."""
         nobody = all(seat.desk != index for seat in self._seats.values())
         if nobody and index not in self._over and self.desks[index].done:
             self._over.add(index)
             self._on_over(index)
-
-    def _take_seat(self, worker: int) -> Message | None:
-        """What there is for it: a program that nobody has, or else anything."""
-        busy = {self.desks[seat.desk].at(seat.number) for seat in self._seats.values()}
-        elsewhere = {program for program in busy if program is not None}
-        for alone in (True, False):
-            for index, desk in enumerate(self.desks):
-                if index in self._over or not self._free[index]:
-                    continue
-                number = self._free[index][0]
-                answer = desk.turn(number, elsewhere if alone else None)
-                if answer == STOP:
-                    if not alone:
-                        self._note_over(index)
-                    continue
-                heapq.heappop(self._free[index])
-                self._seats[worker] = _Seat(index, number)
-                if index in self._new:
-                    self._new.discard(index)
-                    self._on_turn(index)
-                return answer
-        return None
