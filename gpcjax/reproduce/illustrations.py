@@ -161,9 +161,8 @@ def plane_of(cell: Cell, lane: Lane, angles: int = 181, velocities: int = 145) -
     learner = as_gpc(lane.learner)
     theta, theta_dot = np.linspace(-np.pi, np.pi, angles), np.linspace(-8.0, 8.0, velocities)
     grid = np.stack([*np.broadcast_arrays(np.cos(theta), np.sin(theta), theta_dot[:, None])], -1)
-    # A row at a time: all matrices of all places at once would take gigabytes.
-    rows = [look(learner, lane.state, row) for row in grid]
-    maps = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    seen = look(learner, lane.state, grid.reshape(-1, 3))
+    maps = {name: values.reshape(grid.shape[:2]) for name, values in seen.items()}
     return Plane(
         theta=theta,
         theta_dot=theta_dot,

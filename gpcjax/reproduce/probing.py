@@ -6,26 +6,34 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from gpcjax.engine.lanes import Lane
 from gpcjax.engine.pool import Finished
 from gpcjax.gp.posterior import Posterior
 from gpcjax.learners.gpc import GPC, GPCState
 from gpcjax.sweep.build import make_pool, start_of
+from gpcjax.sweep.environment import programs_folder
+from gpcjax.sweep.executables import Executables
 from gpcjax.sweep.plan import Cell, plan
 from gpcjax.sweep.spec import spec_of
+
+AT_ONCE = 181
+"""Places that are looked at by one call."""
 
 
 def taught(episodes: int, seeds: Sequence[int]) -> tuple[list[Cell], list[Lane]]:
     """GPC on the pendulum after so many episodes with a teacher that does not err: cells and lanes, by seed.
 
-    They are the runs of a sweep with these settings: task, preset and teacher are a sweep's defaults.
+    They are the runs of a sweep with these settings: task, preset and teacher are a sweep's defaults. So are the
+    programs, which are kept for sweeps, and found if one was there before.
     """
     spec = spec_of(env="pendulum", algo="gpc", episodes=episodes, seeds=max(seeds) + 1)
     cells = [cell for cell in plan(spec) if cell.seed in seeds]
     starts, finished = iter([start_of(cell) for cell in cells]), list[Finished]()
-    make_pool(cells[0]).run(lambda: next(starts, None), finished.append)
+    folder = programs_folder()
+    pool = make_pool(cells[0], programs=None if folder is None else Executables(folder))
+    pool.run(lambda: next(starts, None), finished.append)
     lanes = {each.name.seed: each.lane for each in finished}
     return cells, [lanes[cell.seed] for cell in cells]
 
@@ -36,9 +44,21 @@ def idle_state(learner: GPC) -> GPCState:
     return learner.init()
 
 
+def look(
+    learner: GPC, state: GPCState, observations: Float[ArrayLike, "n obs"]
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """The action of a learner with one dimension at each observation, and the uncertainties a correction would meet.
+
+    So many at a time that one program does: all matrices of all places at once would take gigabytes.
+    """
+    places = np.asarray(observations)
+    padded = np.concatenate([places, np.repeat(places[:1], -len(places) % AT_ONCE, axis=0)])
+    seen = [_look(learner, state, part) for part in np.split(padded, len(padded) // AT_ONCE)]
+    return {name: np.concatenate([part[name] for part in seen])[: len(places)] for name in seen[0]}
+
+
 @eqx.filter_jit
-def look(learner: GPC, state: GPCState, observations: Any) -> dict[str, Float[Array, " n"]]:
-    """The action of a learner with one dimension at each observation, and the uncertainties a correction would meet."""
+def _look(learner: GPC, state: GPCState, observations: Any) -> dict[str, Float[Array, " n"]]:
     policy = jax.tree.map(lambda leaf: leaf[0], state.policy)
 
     def at(obs: Float[Array, " obs"]) -> dict[str, Float[Array, ""]]:

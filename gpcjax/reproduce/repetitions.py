@@ -64,9 +64,10 @@ def _over_plane(lane: Lane) -> tuple[tuple[float, float], tuple[float, float]]:
     """Mean sigma_h at rest and elsewhere, and mean sigma_p where advice was given and over the plane."""
     learner, state = as_gpc(lane.learner), lane.state
     theta, theta_dot = np.linspace(-np.pi, np.pi, 41), np.linspace(-8.0, 8.0, 33)
-    rows = [look(learner, state, _observed(theta, speed)) for speed in theta_dot]
+    grid = _observed(theta, theta_dot[:, None])
+    seen = look(learner, state, grid.reshape(-1, 3))
     sigma_policy, sigma_human = (
-        np.stack([row[name] for row in rows]) for name in ("sigma_policy", "sigma_human")
+        seen[name].reshape(grid.shape[:2]) for name in ("sigma_policy", "sigma_human")
     )
     rest = (theta[None] / AROUND_REST[0]) ** 2 + (theta_dot[:, None] / AROUND_REST[1]) ** 2 < 1
     places = angles_of(state.human)
@@ -78,7 +79,7 @@ def _over_plane(lane: Lane) -> tuple[tuple[float, float], tuple[float, float]]:
     )
 
 
-def _observed(theta: np.ndarray, theta_dot: np.ndarray | float) -> Float[np.ndarray, "places 3"]:
+def _observed(theta: np.ndarray, theta_dot: np.ndarray) -> Float[np.ndarray, "*places 3"]:
     theta, theta_dot = np.broadcast_arrays(theta, theta_dot)
     return np.stack([np.cos(theta), np.sin(theta), theta_dot], -1)
 
@@ -125,41 +126,55 @@ def _visited(env: Env, learner: GPC, state: GPCState) -> Float[Array, "places ob
     return lax.map(episode, 1000 + jnp.arange(STARTS)).reshape(-1, 3)
 
 
-@eqx.filter_jit
 def _taught(
-    learner: Learner, obs: Float[Array, "runs obs"], advice: Float[Array, "runs advices"]
-) -> dict[str, Float[Array, "runs advices"]]:
-    """Advice at one state, for each run: the action that each one met, its learning rate, and the action after it."""
+    learner: Learner,
+    obs: Float[np.ndarray, "runs obs"],
+    advice: Float[np.ndarray, "runs advices"],
+    target: Float[np.ndarray, " runs"] | float = np.nan,
+) -> dict[str, Float[np.ndarray, "runs patience"]]:
+    """Advice at one state, for each run: the action that each one met, whether it was given, and its learning rate.
 
-    def run(given: tuple[Float[Array, " obs"], Float[Array, " advices"]]) -> dict[str, Array]:
+    The teacher is silent while an action is within `DELTA` of the target, or above; NaN is no target. After the last
+    advice there is none, up to `PATIENCE`: so all that is asked of a learner here is one program.
+    """
+    padded = np.pad(advice, ((0, 0), (0, PATIENCE - advice.shape[1])))
+    given = obs, padded, np.broadcast_to(target, len(obs))
+    return {name: np.asarray(values) for name, values in _run(learner, *map(jnp.asarray, given)).items()}
+
+
+@eqx.filter_jit
+def _run(
+    learner: Learner,
+    obs: Float[Array, "runs obs"],
+    advice: Float[Array, "runs patience"],
+    target: Float[Array, " runs"],
+) -> dict[str, Array]:
+    def run(given: tuple[Array, Array, Array]) -> dict[str, Array]:
+        obs, advice, target = given
+
         def one(state, advice):
-            action = learner.act(state, given[0])
-            state, info = learner.correct(state, given[0], action, advice[None])
-            return state, {
-                "action": action[0],
-                "rate": info.rate[0],
-                "after": learner.act(state, given[0])[0],
-            }
+            action = learner.act(state, obs)
+            says = ~(target - action[0] < DELTA)
+            state, info = learner.correct(state, obs, action, jnp.where(says, advice, 0.0)[None])
+            return state, {"action": action[0], "given": says, "rate": info.rate[0]}
 
-        return lax.scan(one, learner.init(), given[1])[1]
+        return lax.scan(one, learner.init(), advice)[1]
 
-    return lax.map(run, (obs, advice))
+    return lax.map(run, (obs, advice, target))
 
 
 def _behind(sparsify: bool, seeds: Int[np.ndarray, " seeds"]) -> Float[np.ndarray, " seeds"]:
     """How far the action is at most from what Fig. 3.4 says it follows, under advice of which a fifth is "less"."""
-    learner = make_learner("gpc", "cartpole", capacity=16, sparsify=sparsify)
+    learner = make_learner("gpc", "cartpole", capacity=PATIENCE, sparsify=sparsify)
     draws = [np.random.default_rng([seed, 0]) for seed in seeds]
     obs = np.array([_cartpole_state(random) for random in draws])
     advice = np.array([np.where(random.uniform(size=MIXED) < 0.2, -1.0, 1.0) for random in draws])
-    rows = {
-        name: np.asarray(values)
-        for name, values in _taught(learner, jnp.asarray(obs), jnp.asarray(advice)).items()
-    }
-    targets = rows["action"] + rows["rate"] * advice
+    rows = _taught(learner, obs, advice)
+    met, after = rows["action"][:, :MIXED], rows["action"][:, 1 : MIXED + 1]
+    targets = met + rows["rate"][:, :MIXED] * advice
     followed = targets if sparsify else targets.cumsum(axis=1) / np.arange(1, MIXED + 1)
     # The action is clipped; what it follows is not.
-    return np.abs(rows["after"] - followed.clip(-1.0, 1.0)).max(axis=1)
+    return np.abs(after - followed.clip(-1.0, 1.0)).max(axis=1)
 
 
 def _cartpole_state(random: np.random.Generator) -> Float[np.ndarray, " 4"]:
@@ -169,7 +184,7 @@ def _cartpole_state(random: np.random.Generator) -> Float[np.ndarray, " 4"]:
 
 def _consistent(algo: str, seeds: Int[np.ndarray, " seeds"]) -> Float[np.ndarray, "2 seeds advices"]:
     """Rates under advice that stays the same and that alternates, at a state of the cart-pole with a short past."""
-    options: dict[str, Any] = {} if algo == "coach" else {"capacity": 16}  # COACH has no dictionary
+    options: dict[str, Any] = {} if algo == "coach" else {"capacity": PATIENCE}  # COACH has no dictionary
     learner = make_learner(algo, "cartpole", **options)
     draws = [np.random.default_rng([seed, 1]) for seed in seeds]
     obs = np.array([_cartpole_state(random) for random in draws])
@@ -179,10 +194,7 @@ def _consistent(algo: str, seeds: Int[np.ndarray, " seeds"]) -> Float[np.ndarray
     signs = np.ones(ADVICES), (-1.0) ** np.arange(ADVICES)
     given = [np.concatenate([past, first * sign], axis=1) for sign in signs]
     return np.stack(
-        [
-            np.asarray(_taught(learner, jnp.asarray(obs), jnp.asarray(advice))["rate"])[:, HISTORY:]
-            for advice in given
-        ]
+        [_taught(learner, obs, advice)["rate"][:, HISTORY : HISTORY + ADVICES] for advice in given]
     )
 
 
@@ -192,33 +204,13 @@ def _samples(algo: str, length_scale: float, seeds: Int[np.ndarray, " seeds"]) -
     draws = [np.random.default_rng([seed, 2]) for seed in seeds]
     target = np.array([random.uniform(0.8, 1.0) for random in draws])
     wrong = np.array([random.integers(1, 4) for random in draws])
-    actions, advised = map(np.asarray, _until(learner, jnp.asarray(target), jnp.asarray(wrong)))
+    # "More" again and again, but for one that is inverted (from 0).
+    advice = np.where(np.arange(PATIENCE) == wrong[:, None], -1.0, 1.0)
+    rows = _taught(learner, np.zeros((len(seeds), learner.obs_size)), advice, target)
+    actions, advised = rows["action"], rows["given"]
     samples = np.full(len(seeds), np.nan)
     for run, place in enumerate(wrong):
         if advised[run, place]:
             back = np.flatnonzero(actions[run, place + 2 :] >= actions[run, place])
             samples[run] = back[0] + 1 if back.size else PATIENCE
     return samples
-
-
-@eqx.filter_jit
-def _until(
-    learner: Learner, target: Float[Array, " runs"], wrong: Int[Array, " runs"]
-) -> tuple[Float[Array, "runs advices"], Array]:
-    """A teacher that says "more" until the action is within `DELTA` of the target, and inverts one advice (from 0).
-
-    Gives the action that each advice met, and whether it was given.
-    """
-    obs = jnp.zeros(learner.obs_size)
-
-    def run(given: tuple[Float[Array, ""], Int[Array, ""]]) -> tuple[Array, Array]:
-        def one(state, place):
-            action = learner.act(state, obs)
-            says = given[0] - action[0] >= DELTA
-            advice = jnp.where(says, jnp.where(place == given[1], -1.0, 1.0), 0.0)
-            state, _ = learner.correct(state, obs, action, advice[None])
-            return state, (action[0], says)
-
-        return lax.scan(one, learner.init(), jnp.arange(PATIENCE))[1]
-
-    return lax.map(run, (target, wrong))

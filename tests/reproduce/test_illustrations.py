@@ -184,7 +184,7 @@ def test_who_is_taught_is_told_by_seed(monkeypatch):
             for start in [*iter(next_start, None)][::-1]:
                 deliver(SimpleNamespace(name=start.name, lane=start))
 
-    monkeypatch.setattr(probing, "make_pool", lambda cell: Backwards())
+    monkeypatch.setattr(probing, "make_pool", lambda cell, programs: Backwards())
     cells, lanes = probing.taught(3, [0, 2])
     assert [(cell.env, cell.algo, cell.error, cell.episodes, cell.seed) for cell in cells] == [
         ("pendulum", "gpc", 0.0, 3, seed) for seed in (0, 2)
