@@ -1,10 +1,9 @@
 """Computes what the thesis' illustrative figures show, with the learners, tasks and teachers of gpcjax itself.
 
-Run as `python -m gpcjax.reproduce.illustrations OUT.npz`, on one thread like all that is recorded
-(`gpcjax.sweep.executors`). The records and their file are `gpcjax.reproduce.records`, which loads no jax.
+`compute` is called by a worker, on one thread like all that is recorded (`gpcjax.sweep.executors`). The records and their
+file are `gpcjax.reproduce.records`, which loads no jax.
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from gpcjax.reproduce.records import (
 from gpcjax.reproduce.repetitions import repetitions
 from gpcjax.sweep.plan import Cell
 
-__all__ = ["compute", "erroneous", "hyperparameters", "main", "plane", "read", "situations", "sparsification"]
+__all__ = ["compute", "erroneous", "hyperparameters", "plane", "read", "situations", "sparsification"]
 
 EARLY, LATE = 5, 40
 """Episodes of teaching before Figs. 3.3 and 5.3."""
@@ -262,14 +261,3 @@ def _advise(learner: GPC, advices: int, wrong: int, target: float, tolerance: fl
         if np.isnan(samples) and k >= wrong and actions[k + 1] >= actions[wrong - 1]:
             samples = k + 1 - wrong
     return {"action": actions, "samples": samples, **columns}
-
-
-def main() -> None:
-    """Computes the file that is the one argument."""
-    if len(sys.argv) != 2:
-        raise SystemExit("give the one file to write: python -m gpcjax.reproduce.illustrations OUT.npz")
-    compute(Path(sys.argv[1]))
-
-
-if __name__ == "__main__":
-    main()
