@@ -1,7 +1,7 @@
 """Computes what the thesis' illustrative figures show, with the learners, tasks and teachers of gpcjax itself.
 
-`compute` is called by a worker, on one thread like all that is recorded (`gpcjax.sweep.executors`). The records and their
-file are `gpcjax.reproduce.records`, which loads no jax.
+`compute` is called by a worker, on one thread like all that is recorded (`gpcjax.sweep.executors`). The records and
+their file are `gpcjax.reproduce.records`, which loads no jax.
 """
 
 from pathlib import Path
