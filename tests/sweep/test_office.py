@@ -147,16 +147,25 @@ def test_what_workers_say_of_the_machine_is_for_all_sweeps():
 
 
 class TestErrands:
-    def test_they_come_first(self):
-        told = Told()
+    def test_they_come_when_a_sweep_is_over(self):
+        """Another one may still go on."""
         errands = Errands([("module:first", ("word",)), ("module:second", ())])
-        office = told.office([Sweep(cells("coach"))], jobs=1, errands=errands)
-        assert office.answer(0, ("ready",)) == ("errand", "module:first", ("word",))
+        office = Told().office([Sweep(cells(algo)) for algo in ("gpc", "coach", "gpc-ns")], errands=errands)
+        assert [program(ready(office, worker)).algo for worker in range(2)] == ["gpc", "coach"]
+        work_off(office, 1)
+        assert program(ready(office, 1)).algo == "gpc-ns"
+        work_off(office, 0)
+        assert ready(office, 0) == ("errand", "module:first", ("word",))
         assert office.answer(0, ("compiling", True)) is None
         assert office.answer(0, ("errand", "module:first")) is None
-        assert office.answer(0, ("ready",)) == ("errand", "module:second", ())
-        assert not told
-        assert program(office.answer(0, ("ready",))).algo == "coach"
+        assert ready(office, 0) == ("errand", "module:second", ())
+        assert ready(office, 0) == ("stop",)
+
+    def test_or_at_the_end(self):
+        office = Told().office([Sweep(cells("gpc", seeds=100))], errands=Errands([("module:first", ())]))
+        assert program(ready(office, 0)).algo == "gpc"
+        assert ready(office, 1) == ("errand", "module:first", ()), "there is nothing else to do"
+        assert ready(office, 1) == ("stop",)
 
     def test_alone(self):
         assert Told().office([], jobs=4, errands=Errands([("module:first", ())])).workers == 1

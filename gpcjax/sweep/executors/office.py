@@ -61,7 +61,7 @@ class Office:
         jobs: workers there may be.
         on_turn: called with the index of a desk when the first worker turns to it.
         on_over: called with the index of a desk when all its rows and baselines have come.
-        errands: what is to be done before any of them.
+        errands: what else is to be done, once a sweep is over, so that its programs are there, or at the end.
     """
 
     def __init__(
@@ -109,12 +109,11 @@ class Office:
         """What a worker does next: a program that nobody has, or else anything; where it is, or at another desk."""
         for desk in self.desks:
             desk.are_there()
-        errand = self._errands.next()
-        if errand is not None:
-            return errand
         seat = self._seats.get(worker)
         others = [other for holder, other in self._seats.items() if holder != worker]
         elsewhere = {self.desks[other.desk].at(other.number) for other in others} - {None}
+        if self._over and (errand := self._errand(worker)) is not None:
+            return errand
         for busy in (elsewhere, None):
             for place in self._places(seat):
                 answer = self.desks[place.desk].turn(place.number, busy)
@@ -123,7 +122,15 @@ class Office:
         self._leave(worker)
         for index in range(len(self.desks)):
             self._note_over(index)
-        return STOP
+        return self._errand(worker) or STOP
+
+    def _errand(self, worker: int) -> Message | None:
+        """One for a worker that leaves its seat for it."""
+        errand = self._errands.next()
+        if errand is None or not self._leave(worker):
+            return errand
+        self._promised[worker] = errand
+        return AGAIN
 
     def _places(self, seat: _Seat | None) -> list[_Seat]:
         """Where a worker on this seat can ask, in turn."""
