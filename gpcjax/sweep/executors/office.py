@@ -111,7 +111,8 @@ class Office:
             desk.are_there()
         seat = self._seats.get(worker)
         others = [other for holder, other in self._seats.items() if holder != worker]
-        elsewhere = {self.desks[other.desk].at(other.number) for other in others} - {None}
+        at = [self.desks[other.desk].at(other.number) for other in others]
+        elsewhere = {program for program in at if program is not None}
         if self._over and (errand := self._errand(worker)) is not None:
             return errand
         for busy in (elsewhere, None):
