@@ -86,6 +86,22 @@ def test_what_was_done_elsewhere_is_put_away_before():
     assert (first.totals.compile_seconds, second.totals.compile_seconds) == (5.0, 1.0)
 
 
+def test_nor_is_it_counted_after_an_errand():
+    sweeps = [Sweep(cells(algo)) for algo in ("gpc", "coach", "gpc-ns")] + [Sweep(cells("coach", error=0.2))]
+    office = Told().office(sweeps, errands=Errands([("module:first", ())]))
+    assert [program(ready(office, worker)).algo for worker in range(2)] == ["gpc", "coach"]
+    work_off(office, 1)
+    assert program(ready(office, 1)).algo == "gpc-ns"
+    office.answer(0, ("progress", Totals(env_steps=100)))
+    work_off(office, 0)
+    assert office.answer(0, ("ready",)) == ("errand", "module:first", ())
+    assert office.answer(0, ("errand", "module:first")) is None
+    assert office.answer(0, ("ready",)) == ("again",)
+    assert program(office.answer(0, ("ready",))).algo == "coach"
+    office.answer(0, ("progress", Totals(env_steps=7)))
+    assert (sweeps[0].totals.env_steps, sweeps[3].totals.env_steps) == (100, 7)
+
+
 def test_a_program_that_somebody_has_for_another_sweep_comes_last():
     """Who compiles it now would be waited for."""
     first, second = Sweep(cells("gpc", error=0.1)), Sweep([*cells("gpc", error=0.2), *cells("coach")])

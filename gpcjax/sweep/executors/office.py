@@ -78,6 +78,8 @@ class Office:
         self._free = [list(range(desk.workers)) for desk in self.desks]
         """Numbers that nobody has at each desk."""
         self._seats: dict[int, _Seat] = {}
+        self._seated: set[int] = set()
+        """Workers that have had a seat, and count what they did there."""
         self._promised: dict[int, Message] = {}
         """What workers are answered when they have put away what they did elsewhere."""
         self._new = set(range(len(self.desks)))
@@ -126,12 +128,11 @@ class Office:
         return self._errand(worker) or STOP
 
     def _errand(self, worker: int) -> Message | None:
-        """One for a worker that leaves its seat for it."""
+        """One for a worker, which leaves its seat for it."""
         errand = self._errands.next()
-        if errand is None or not self._leave(worker):
-            return errand
-        self._promised[worker] = errand
-        return AGAIN
+        if errand is not None:
+            self._leave(worker)
+        return errand
 
     def _places(self, seat: _Seat | None) -> list[_Seat]:
         """Where a worker on this seat can ask, in turn."""
@@ -142,26 +143,25 @@ class Office:
 
     def _move(self, worker: int, place: _Seat, answer: Message) -> Message:
         """Has a worker take this seat; what it does there it is told when it has put away what it did before."""
-        moves = self._leave(worker)
+        self._leave(worker)
         heapq.heappop(self._free[place.desk])
         self._seats[worker] = place
         if place.desk in self._new:
             self._new.discard(place.desk)
             self._on_turn(place.desk)
-        if not moves:
+        if worker not in self._seated:
+            self._seated.add(worker)
             return answer
         self._promised[worker] = answer
         return AGAIN
 
-    def _leave(self, worker: int) -> bool:
-        """Has a worker leave its seat; False if it has none."""
+    def _leave(self, worker: int) -> None:
+        """Has a worker leave its seat, if it has one."""
         seat = self._seats.pop(worker, None)
-        if seat is None:
-            return False
-        self.desks[seat.desk].lose(seat.number)  # it has nothing of that desk any more
-        heapq.heappush(self._free[seat.desk], seat.number)
-        self._note_over(seat.desk)
-        return True
+        if seat is not None:
+            self.desks[seat.desk].lose(seat.number)  # it has nothing of that desk any more
+            heapq.heappush(self._free[seat.desk], seat.number)
+            self._note_over(seat.desk)
 
     def _note_over(self, index: int) -> None:
         """Tells of a desk at which nobody is any more, if it is done."""
