@@ -107,10 +107,11 @@ def run(
     Raises:
         Failure: a worker failed; what was finished is kept.
     """
-    executor = executor or Processes(jobs)
-    with opened(spec, out, executor.jobs, grows, keeping, checkpoint, watcher, shard, say) as going:
+    jobs = jobs if executor is None else executor.jobs
+    with opened(spec, out, jobs, grows, keeping, checkpoint, watcher, shard, say) as going:
         if going is None:
             return False
+        executor = executor or Processes(jobs)
         threading.Thread(target=meanwhile, daemon=True).start()
         with going.under_way():
             executor.run(going.desk)

@@ -299,8 +299,7 @@ class TestFile:
         monkeypatch.setattr(illustrations, "plane_of", lambda cell, lane: fig3_3)
         monkeypatch.setattr(illustrations, "repetitions", lambda early, late, scales: made)
         path = tmp_path / "out.npz"
-        monkeypatch.setattr("sys.argv", ["illustrations", str(path)])
-        illustrations.main()
+        illustrations.compute(path)
         assert [each.name for each in tmp_path.iterdir()] == ["out.npz"]
         found = illustrations.read(path)
         for record, expected in zip(
@@ -318,8 +317,3 @@ class TestFile:
                 records.read(path)
         with pytest.raises(FileNotFoundError):
             records.read(tmp_path / "missing.npz")
-
-    def test_main_wants_one_file(self, monkeypatch):
-        monkeypatch.setattr("sys.argv", ["illustrations"])
-        with pytest.raises(SystemExit, match=r"give the one file to write"):
-            illustrations.main()

@@ -31,8 +31,8 @@ class Painted(NamedTuple):
 def painted(figures: Sequence[Figure]) -> list[Painted]:
     """Every figure in every format: the bytes that `style.image` gives, in the order of the figures.
 
-    Where this is the only thread of a process of Linux, copies of it (forks) paint their part beside it: they have all
-    that painting needs, which takes longer to load than to use.
+    Where this is the only thread of a process of Linux, and there is no jax in it, copies of it (forks) paint their part
+    beside it: they have all that painting needs, which takes longer to load than to use.
     """
     return spread(_paint, figures)
 
@@ -60,8 +60,11 @@ def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
 
 
 def _cores() -> int:
-    """That can be used: one alone where copies would not be whole, as other threads hold locks that nobody opens."""
-    if sys.platform != "linux" or threading.active_count() > 1:
+    """That can be used: one alone where copies would not be whole, as other threads hold locks that nobody opens.
+
+    Those of jax are not counted.
+    """
+    if sys.platform != "linux" or threading.active_count() > 1 or "jax" in sys.modules:
         return 1
     return len(os.sched_getaffinity(0))
 
