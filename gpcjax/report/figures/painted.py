@@ -31,7 +31,7 @@ class Painted(NamedTuple):
 def painted(figures: Sequence[Figure]) -> list[Painted]:
     """Every figure in every format: the bytes that `style.image` gives, in the order of the figures.
 
-    Where this is the only thread of a process of Linux, and there is no jax in it, copies of it (forks) paint their part
+    Where this is the only thread of a process of Linux, and there is no jax, copies of it (forks) paint their part
     beside it: they have all that painting needs, which takes longer to load than to use.
     """
     return spread(_paint, figures)
