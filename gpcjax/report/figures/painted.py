@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from gpcjax.report.figures import style
+from gpcjax.sweep import stopping
 from gpcjax.sweep.executors.served import die_with_parent
 
 FILES = ("png", "pdf")
@@ -102,7 +103,7 @@ def _do(function: Callable[[Any], Any], items: Sequence[Any], writable: int, par
     """What a copy does: it never returns, and says nothing but its results. Signals are its parent's."""
     try:
         die_with_parent(parent)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in stopping.SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         with os.fdopen(writable, "wb") as stream:
             pickle.dump([function(item) for item in items], stream)
